@@ -1,0 +1,89 @@
+"""Viewpoint: where the scanner should stand, in the object frame, and what it may give way in."""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+Step = Literal["global", "local"]
+Kind = Literal["revolution", "station"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slack:
+    """How far a viewpoint may be moved without losing its purpose; zero everywhere means exact."""
+
+    standoff: tuple[float, float] = (0.0, 0.0)
+    """Change of the distance along the optical axis, least and greatest [m]."""
+    tilt: float = 0.0
+    """Greatest angle of the optical axis about the aimed surface point [rad]."""
+    roll: bool = True
+    """Whether the scanner may turn freely about its optical axis."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Viewpoint:
+    """One pose of the scanner relative to the object.
+
+    For a revolution the table makes one full turn while the arm stands still: X_OS is then the pose at table
+    angle zero and only its height, radius and inclination matter, its azimuth about z is free.
+    Stations that share a `sweep` are passed in the order of their ids, or in the reverse order, in one
+    straight line of the scanner relative to the part.
+    """
+
+    id: str
+    """"G0", "G1".. for the global step, "L1.1", "L1.2".. for the local one; unique in a plan."""
+    X_OS: np.ndarray
+    """Pose of S in O, shape (4, 4)."""
+    standoff: float
+    """Distance along +z of S to the aimed surface [m]."""
+    step: Step
+    kind: Kind
+    sweep: str = ""
+    """Name of the sweep, shared by its viewpoints; "" for none."""
+    slack: Slack = field(default_factory=Slack)
+    note: str = ""
+    """What it is for, in words."""
+
+    def __post_init__(self) -> None:
+        X = np.array(self.X_OS, dtype=float)
+        if X.shape != (4, 4) or not np.isfinite(X).all():
+            raise ValueError(f"viewpoint {self.id}: X_OS must be a finite (4, 4) matrix")
+        X.setflags(write=False)
+        object.__setattr__(self, "X_OS", X)
+
+    @property
+    def p_OS(self) -> np.ndarray:
+        """Position of the optical centre in O, shape (3,) [m]."""
+        return self.X_OS[:3, 3]
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Viewing direction (+z of S) in O, shape (3,)."""
+        return self.X_OS[:3, 2]
+
+    def moved(self, X_OS: np.ndarray) -> "Viewpoint":
+        """The same viewpoint at another pose."""
+        return replace(self, X_OS=X_OS)
+
+
+def look_at(p_OS: np.ndarray, direction: np.ndarray, *, roll: float = 0.0) -> np.ndarray:
+    """Pose X_OS at `p_OS` that looks along `direction`; at roll 0, +x of S (the long side) is horizontal.
+
+    Args:
+        p_OS: position, shape (3,) [m].
+        direction: viewing direction in O, shape (3,), of any positive length.
+        roll: turn about the optical axis [rad].
+    """
+    z = np.asarray(direction, dtype=float)
+    z = z / np.linalg.norm(z)
+    x = np.cross(z, (0.0, 0.0, 1.0))
+    if np.linalg.norm(x) < 1e-9:
+        x = np.array([0.0, 1.0, 0.0])
+    x = x / np.linalg.norm(x)
+    y = np.cross(z, x)
+    c, s = np.cos(roll), np.sin(roll)
+    X_OS = np.eye(4)
+    X_OS[:3, :3] = np.column_stack([c * x + s * y, -s * x + c * y, z])
+    X_OS[:3, 3] = p_OS
+    return X_OS
