@@ -1,0 +1,47 @@
+# `make demo` and `make test` make the virtual environment themselves.
+PYTHON ?= $(firstword $(foreach v,3.11 3.12 3.13,$(shell command -v python$(v) >/dev/null 2>&1 && python$(v) -c 'import venv' 2>/dev/null && echo python$(v))) python3)
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+OUT ?= demo
+
+.PHONY: help demo test test-all lint bench models env clean syscheck
+
+help:
+	@echo "make demo      plan a scan of the built-in carving into $(OUT)/"
+	@echo "make test      the test suite        make test-all  with the slow tests"
+	@echo "make lint      ruff and pyright      make bench     the benchmarks"
+
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || \
+	  { echo "scanmotion needs Python 3.11, 3.12 or 3.13; $(PYTHON) is $$($(PYTHON) -V 2>&1). Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
+	$(PYTHON) -m venv $(VENV) || { echo "python venv is missing: on Debian install python3-venv"; exit 2; }
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[test]'
+	@touch $@
+
+env: $(STAMP) syscheck
+
+syscheck: $(STAMP)
+	@$(BIN)/python models/check_system.py
+
+demo: env
+	$(BIN)/scanmotion plan --robot kr240 --out $(OUT)
+	@echo "scene:  $(OUT)/scene.html"
+	@echo "report: $(OUT)/report.html"
+
+test: env
+	$(BIN)/python -m pytest
+
+test-all: env
+	$(BIN)/python -m pytest -m ''
+
+lint: env
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+bench: env
+	@for b in benchmarks/*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done
+
+clean:
+	rm -rf $(VENV) $(OUT) .pytest_cache .ruff_cache .hypothesis

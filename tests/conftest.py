@@ -1,0 +1,47 @@
+"""Fixtures that all tests share."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+settings.register_profile("scanmotion", deadline=None, derandomize=True, print_blob=False)
+settings.load_profile("scanmotion")
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+def _shared(folder: str) -> Path:
+    path = SHARED / folder
+    if not path.is_dir():
+        message = f"needs the shared data at ../shared/{folder}, which is not here"
+        if os.environ.get("CI") == "true":
+            pytest.fail(message)
+        pytest.skip(message)
+    return path
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    return _shared("data")
+
+
+@pytest.fixture(scope="session")
+def shared_tools() -> Path:
+    return _shared("tools")
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+@pytest.fixture(scope="session")
+def kr240_cell():
+    """The built-in cell without a part."""
+    from scanmotion.cell.config import load_cell
+    from scanmotion.cell.plant import build_cell
+
+    return build_cell(load_cell("kr240"))
