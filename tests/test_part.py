@@ -98,9 +98,8 @@ BAD = {
     "cut.ply": b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\nproperty float y\n"
     b"property float z\nelement face 0\nproperty list uchar int vertex_indices\nend_header\n" + b"0" * 20,
     "billion.ply": b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\n"
-    b"property float y\nproperty float z\nelement face 1000000000\nproperty list uchar int vertex_indices\nend_header\n"
-    + b"0"
-    * 36,
+    b"property float y\nproperty float z\nelement face 1000000000\nproperty list uchar int vertex_indices\n"
+    b"end_header\n" + b"0" * 36,
     "nan.xyz": b"0 0 0\n1 nan 0\n0 1 0\n5 5 5\n",
     "two.xyz": b"0 0 0\n100 0 0\n",
     "line.xyz": b"0 0 0\n100 0 0\n200 0 0\n300 0 0\n",

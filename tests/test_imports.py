@@ -1,0 +1,121 @@
+"""The import graph points one way, heavy libraries stay out of the light modules, and rooms stay small."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1] / "scanmotion"
+FILES = sorted(p for p in ROOT.rglob("*.py") if "_models" not in p.parts)
+
+NOUNS = {"errors", "scanner", "partfile", "part", "trajectory"}
+LEAVES = {"verify", "judge", "export", "report", "show", "cli", "compare", "figures"}
+MAY_IMPORT = {
+    "viewpoints": NOUNS | {"viewpoints"},
+    "cell": NOUNS | {"cell"},
+    "scan": NOUNS | {"scan", "viewpoints"},
+    "motion": NOUNS | {"motion", "cell", "viewpoints"},
+    "planfile": NOUNS | {"viewpoints"},
+    "judge": NOUNS | {"judge", "planfile"},
+    "verify": NOUNS | {"judge", "planfile"},
+    "export": NOUNS | {"export", "planfile", "viewpoints"},
+    "plan": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "verify", "steps", "outcome"},
+}
+PYDRAKE = {"cell", "motion/transit.py", "motion/timing.py", "show.py"}
+STAGES = {"reach", "sequence", "transit", "timing"}
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported(path: Path) -> set[str]:
+    """Dotted names below scanmotion that a file imports, at any depth."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {a.name for a in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            names |= {node.module} | {f"{node.module}.{a.name}" for a in node.names}
+    return names
+
+
+MODULES = {module_name(p): p for p in FILES}
+INNER = {
+    name: {n.removeprefix("scanmotion.") for n in imported(path) if n.startswith("scanmotion.")}
+    & set(MODULES)
+    for name, path in MODULES.items()
+}
+
+
+@pytest.mark.parametrize("name", [n for n in MODULES if n.split(".")[0] in MAY_IMPORT])
+def test_imports_point_one_way(name):
+    room = name.split(".")[0]
+    allowed = MAY_IMPORT[room] | ({"plan"} if room == "steps" else set())
+    foreign = {other for other in INNER[name] if other.split(".")[0] not in allowed}
+    assert not foreign, f"{name} may not import {sorted(foreign)}"
+
+
+def test_nothing_imports_a_leaf_but_the_leaves():
+    for name, others in INNER.items():
+        if name.split(".")[0] in LEAVES | {"plan", "steps", "outcome", ""}:
+            continue
+        assert not {o for o in others if o.split(".")[0] in LEAVES}, name
+
+
+def test_stages_do_not_import_stages():
+    for stage in STAGES:
+        others = INNER[f"motion.{stage}"] & {f"motion.{s}" for s in STAGES - {stage}}
+        assert not others, f"motion.{stage} imports {others}"
+
+
+def test_no_cycles():
+    done, path = set(), []
+
+    def visit(name):
+        assert name not in path, " -> ".join([*path[path.index(name) :], name])
+        if name in done:
+            return
+        path.append(name)
+        for other in sorted(INNER[name] - {name}):
+            visit(other)
+        path.pop()
+        done.add(name)
+
+    for name in MODULES:
+        if name:
+            visit(name)
+
+
+def test_drake_has_few_homes():
+    for path in FILES:
+        rel = path.relative_to(ROOT).as_posix()
+        if any(n.split(".")[0] == "pydrake" for n in imported(path)):
+            assert rel in PYDRAKE or rel.split("/")[0] in PYDRAKE, rel
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_rooms_are_small(path):
+    text = path.read_text()
+    assert text.count("\n") <= 400, f"{path.name} has {text.count(chr(10))} lines"
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            assert node.end_lineno - node.body[0].lineno + 1 <= 60, f"{path.name}: {node.name} is too long"
+
+
+def test_importing_the_package_is_light():
+    heavy = ("open3d", "pydrake", "matplotlib", "numba", "scipy", "numpy", "ompl")
+    code = f"import sys, scanmotion; print([m for m in {heavy!r} if m in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
+def test_every_public_name_loads():
+    import scanmotion
+
+    assert len(scanmotion.__all__) <= 20
+    for name in scanmotion.__all__:
+        assert getattr(scanmotion, name) is not None
