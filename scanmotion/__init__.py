@@ -19,16 +19,16 @@ _HOMES = {
     "build_cell": "cell.plant",
     "reach": "motion.reach",
     "tour_from_cost": "motion.tsp",
-    "plan": "plan",
-    "load_plan": "plan",
+    "plan": "pipeline",
+    "load_plan": "pipeline",
     "verify": "verify",
     "export_plan": "export",
-    "compare": "compare",
+    "compare": "comparison",
     "show": "",
     "report": "",
 }
 
-__all__ = ["__version__", *_HOMES]
+__all__ = list(_HOMES)
 
 if TYPE_CHECKING:
     from scanmotion.cell.config import load_cell as load_cell
@@ -48,7 +48,6 @@ def __getattr__(name: str) -> Any:
         value = importlib.import_module(f"scanmotion.{name}")
     else:
         value = getattr(importlib.import_module(f"scanmotion.{home}"), name)
-    # A submodule of the same name (plan, verify) would otherwise hide the function once it is imported.
     globals()[name] = value
     return value
 

@@ -1,6 +1,6 @@
 """Operations and the timed trajectory: the nouns that timing makes and that judge, twin and exports read."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -54,3 +54,27 @@ class Trajectory:
     def duration(self) -> float:
         """Total time [s]."""
         return float(self.t[-1])
+
+
+def joined(first: Trajectory, second: Trajectory) -> Trajectory:
+    """The two in one, the second beginning where and when the first ends.
+
+    Raises:
+        ValueError: the second does not start in the first's last configuration.
+    """
+    gap = float(np.abs(first.q[-1] - second.q[0]).max())
+    if gap > 1e-6:
+        raise ValueError(f"the second trajectory starts {gap:.2g} rad away from the end of the first")
+    shift, count = first.duration, len(first.operations)
+    operations = tuple(
+        replace(o, index=o.index + count, t_start=o.t_start + shift, t_end=o.t_end + shift)
+        for o in second.operations
+    )
+    return Trajectory(
+        t=np.concatenate([first.t, second.t[1:] + shift]),
+        q=np.concatenate([first.q, second.q[1:]]),
+        qd=np.concatenate([first.qd, second.qd[1:]]),
+        qdd=np.concatenate([first.qdd, second.qdd[1:]]),
+        operation=np.concatenate([first.operation, second.operation[1:] + count]),
+        operations=first.operations + operations,
+    )

@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[1] / "scanmotion"
 FILES = sorted(p for p in ROOT.rglob("*.py") if "_models" not in p.parts)
 
 NOUNS = {"errors", "scanner", "partfile", "part", "trajectory"}
-LEAVES = {"verify", "judge", "export", "report", "show", "cli", "compare", "figures"}
+LEAVES = {"verify", "judge", "export", "report", "show", "cli", "comparison", "figures"}
 MAY_IMPORT = {
     "viewpoints": NOUNS | {"viewpoints"},
     "cell": NOUNS | {"cell"},
@@ -21,7 +21,9 @@ MAY_IMPORT = {
     "judge": NOUNS | {"judge", "planfile"},
     "verify": NOUNS | {"judge", "planfile"},
     "export": NOUNS | {"export", "planfile", "viewpoints"},
-    "plan": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "verify", "steps", "outcome"},
+    "pipeline": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "verify", "legs", "outcome"},
+    "legs": NOUNS | {"viewpoints", "cell", "motion"},
+    "outcome": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "verify", "legs"},
 }
 PYDRAKE = {"cell", "motion/transit.py", "motion/timing.py", "show.py"}
 STAGES = {"reach", "sequence", "transit", "timing"}
@@ -54,14 +56,14 @@ INNER = {
 @pytest.mark.parametrize("name", [n for n in MODULES if n.split(".")[0] in MAY_IMPORT])
 def test_imports_point_one_way(name):
     room = name.split(".")[0]
-    allowed = MAY_IMPORT[room] | ({"plan"} if room == "steps" else set())
+    allowed = MAY_IMPORT[room]
     foreign = {other for other in INNER[name] if other.split(".")[0] not in allowed}
     assert not foreign, f"{name} may not import {sorted(foreign)}"
 
 
 def test_nothing_imports_a_leaf_but_the_leaves():
     for name, others in INNER.items():
-        if name.split(".")[0] in LEAVES | {"plan", "steps", "outcome", ""}:
+        if name.split(".")[0] in LEAVES | {"pipeline", "outcome", ""}:
             continue
         assert not {o for o in others if o.split(".")[0] in LEAVES}, name
 
