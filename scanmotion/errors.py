@@ -51,10 +51,14 @@ class PathError(ScanMotionError):
     Attributes:
         pair: names of the two bodies that block it.
         depth: by how much they overlap or fall short of the clearance [m].
+        stop: index of the stop in the tour that cannot be reached.
     """
 
-    def __init__(self, message: str, *, pair: tuple[str, str] = ("", ""), depth: float = 0.0) -> None:
+    def __init__(
+        self, message: str, *, pair: tuple[str, str] = ("", ""), depth: float = 0.0, stop: int = 0
+    ) -> None:
         super().__init__(message)
+        self.stop = stop
         self.pair = pair
         self.depth = depth
 

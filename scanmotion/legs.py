@@ -1,0 +1,100 @@
+"""One leg of the trip: viewpoints in, a timed trajectory out, and a reason for each viewpoint left behind."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from scanmotion.cell.clearance import Clearance
+from scanmotion.cell.plant import Cell
+from scanmotion.errors import PathError
+from scanmotion.motion.reach import Reach, reach
+from scanmotion.motion.sequence import sequence
+from scanmotion.motion.timing import time_plan
+from scanmotion.motion.tour import Path, Tour
+from scanmotion.motion.transit import transits
+from scanmotion.trajectory import Trajectory
+from scanmotion.viewpoints.viewpoint import Viewpoint
+
+Progress = Callable[[str, float], None]
+
+
+def silent(stage: str, fraction: float) -> None:
+    """Progress that nobody watches."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Leg:
+    """What became of a set of viewpoints."""
+
+    reaches: tuple[Reach, ...]
+    """One for each viewpoint asked for."""
+    tour: Tour
+    paths: tuple[Path, ...]
+    trajectory: Trajectory | None
+    """None where no viewpoint could be served."""
+    unreachable: tuple[tuple[str, str], ...]
+    """(id, reason), in the order of the viewpoints."""
+
+    @property
+    def served(self) -> tuple[Viewpoint, ...]:
+        """The viewpoints that the trajectory visits, in the order asked for."""
+        ids = {v for stop in self.tour.stops for v in stop.viewpoints}
+        return tuple(r.viewpoint for r in self.reaches if r.viewpoint.id in ids)
+
+
+def leg_from(
+    cell: Cell,
+    clearance: Clearance,
+    viewpoints: Sequence[Viewpoint],
+    start_q: np.ndarray,
+    *,
+    mode: str = "default",
+    rng: np.random.Generator,
+    progress: Progress = silent,
+) -> Leg:
+    """Reach, order, transit and timing of `viewpoints`, starting at rest in `start_q`.
+
+    A stop whose transit stays blocked is taken out, with the pair of bodies that blocks it as its reason, and
+    the rest is ordered again.
+
+    Args:
+        cell: the cell, with the part that is scanned.
+        clearance: the collision checker of the cell.
+        viewpoints: what is to be visited.
+        start_q: shape (7,) [rad].
+        mode: "default" orders by seconds; "paper" by distance, with the table for the unreachable only.
+        rng: source of the search's random numbers.
+        progress: told the stage and the share done.
+    """
+    reaches = list(
+        reach(cell, list(viewpoints), clearance=clearance, progress=lambda f: progress("reach", f))
+    )
+    reasons = {r.viewpoint.id: str(r.unreachable) for r in reaches if r.unreachable is not None}
+    while True:
+        todo = [r for r in reaches if r.viewpoint.id not in reasons]
+        progress("order", 0.0)
+        tour = sequence(cell, todo, start_q=start_q, mode=mode, rng=rng, path_free=clearance.path_free)
+        reasons.update(dict(tour.unplaced))
+        try:
+            paths = tuple(transits(cell, clearance, tour, rng=rng, progress=lambda f: progress("transit", f)))
+        except PathError as error:
+            blocked = tour.stops[error.stop]
+            reasons.update({v: f"no collision-free way there: {error}" for v in blocked.viewpoints})
+            continue
+        break
+    trajectory = None
+    if tour.stops:
+        trajectory = time_plan(cell, tour, paths, progress=lambda f: progress("timing", f))
+    order = [r.viewpoint.id for r in reaches]
+    unreachable = tuple((v, reasons[v]) for v in order if v in reasons)
+    return Leg(
+        reaches=tuple(reaches), tour=tour, paths=paths, trajectory=trajectory, unreachable=unreachable
+    )  # fmt: skip
+
+
+def renamed(viewpoints: Sequence[Viewpoint], prefix: str) -> tuple[Viewpoint, ...]:
+    """The same viewpoints with `prefix` before their ids and sweeps, so that rounds do not collide."""
+    return tuple(
+        replace(v, id=prefix + v.id, sweep=prefix + v.sweep if v.sweep else "") for v in viewpoints
+    )
