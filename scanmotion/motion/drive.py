@@ -1,0 +1,43 @@
+"""What transit and timing share: the curve that a transit is driven on, its derivatives and the limits."""
+
+import numpy as np
+
+from scanmotion.cell.kinematics import scanner_poses, tcp_jacobian
+from scanmotion.cell.plant import Cell
+from scanmotion.motion.scale import Derivatives, Limits, floor_seconds, parameter_grid
+from scanmotion.motion.spline import JointSpline, spline_beside, subdivided
+
+
+def limits_of(cell: Cell, tcp: float) -> Limits:
+    """The cell's axis limits with a scanner speed of `tcp` [m/s]."""
+    return Limits(v=cell.v_max, a=cell.a_max, j=cell.j_max, tcp=tcp)
+
+
+def transit_limits(cell: Cell) -> Limits:
+    """Limits while the scanner is off."""
+    return limits_of(cell, float(cell.settings.process.transit_speed_m_s))
+
+
+def positions(cell: Cell, q: np.ndarray) -> np.ndarray:
+    """Origin of S in W, shape (n, 3) [m]."""
+    return scanner_poses(cell, q)[:, :3, 3]
+
+
+def transit_spline(cell: Cell, q: np.ndarray) -> JointSpline:
+    """The curve that a transit along the polyline `q` (k, 7) is driven on."""
+    return spline_beside(subdivided(q, positions(cell, q)))
+
+
+def derivatives_on(cell: Cell, path: JointSpline, *, spacing: float = 1.0) -> Derivatives:
+    """Derivatives of `path` on its grid; a `spacing` above 1 makes the grid coarser."""
+    s = parameter_grid(path, spacing=spacing)
+    q1 = path(s, 1)
+    p1 = np.einsum("nij,nj->ni", tcp_jacobian(cell, path(s))[:, 3:], q1)
+    return Derivatives(s=s, q1=q1, q2=path(s, 2), q3=path(s, 3), p1=p1)
+
+
+def seconds_along(cell: Cell, q: np.ndarray) -> float:
+    """How long a transit along the polyline `q` takes: the fastest without a jerk limit, plus ramps [s]."""
+    limits = transit_limits(cell)
+    path = transit_spline(cell, q)
+    return floor_seconds(derivatives_on(cell, path, spacing=3.0), limits) + float((limits.a / limits.j).max())
