@@ -1,0 +1,30 @@
+"""The command line: `scanmotion COMMAND`; nothing heavy is imported before a command runs."""
+
+from scanmotion.cli.app import app
+from scanmotion.cli.cells import cell_app
+from scanmotion.cli.looking import export, show, verify
+from scanmotion.cli.planning import compare, plan
+from scanmotion.cli.single import fuse, holes, reach, robots, viewpoints
+
+__all__ = ["app", "main"]
+
+for _command, _panel, _example in (
+    (plan, "Plan", "scanmotion plan --robot kr240 --part statue.ply --out out"),
+    (verify, "Plan", "scanmotion verify out"),
+    (show, "Plan", "scanmotion show out"),
+    (export, "Plan", "scanmotion export out --to krl"),
+    (compare, "Plan", "scanmotion compare --variant two-step --variant cad-slicing"),
+    (holes, "One stage alone", "scanmotion holes scan.ply"),
+    (viewpoints, "One stage alone", "scanmotion viewpoints --box 330 200 600 --out viewpoints.csv"),
+    (reach, "One stage alone", "scanmotion reach --robot kr240 --box 330 200 600"),
+    (fuse, "One stage alone", "scanmotion fuse turn1.ply turn2.ply --out fused.ply"),
+    (robots, "Robots and cells", "scanmotion robots"),
+):
+    app.command(rich_help_panel=_panel, epilog=f"Example: {_example}", no_args_is_help=False)(_command)
+
+app.add_typer(cell_app, name="cell", rich_help_panel="Robots and cells")
+
+
+def main() -> None:
+    """The entry point of the `scanmotion` script."""
+    app()

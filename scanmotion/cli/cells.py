@@ -1,0 +1,50 @@
+"""`scanmotion cell init` and `scanmotion cell check`."""
+
+from math import degrees
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from scanmotion.cli.app import OK, print_table
+from scanmotion.cli.inputs import Robot
+from scanmotion.errors import InputError
+
+cell_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode="rich", help="Start or check a description of your own cell."
+)
+
+
+@cell_app.command(epilog="Example: scanmotion cell init my-cell.yaml")
+def init(
+    file: Annotated[Path, typer.Argument(help="YAML file to write.")] = Path("cell.yaml"),
+    robot: Robot = None,
+) -> int:
+    """Write a commented YAML to start from."""
+    from scanmotion.cell.config import cell_template
+    from scanmotion.cli.looking import write_text
+
+    if file.exists():
+        raise InputError(f"{file}: is there already; name another file")
+    if not file.resolve().parent.is_dir():
+        raise InputError(f"{file}: the folder {file.parent} does not exist")
+    write_text(file, cell_template(robot or "kr240"))
+    typer.echo(f"{file}\nNext: scanmotion cell check {file}")
+    return OK
+
+
+@cell_app.command(epilog="Example: scanmotion cell check my-cell.yaml")
+def check(file: Annotated[Path, typer.Argument(help="YAML file of a cell.")]) -> int:
+    """Say what is wrong with a cell, or what it holds."""
+    from scanmotion.cell.plant import build_cell
+    from scanmotion.cli.inputs import cell_from
+
+    settings = cell_from(None, file)
+    cell = build_cell(settings)
+    ranges = zip(cell.joint_names, cell.q_min, cell.q_max, cell.v_max, strict=True)
+    rows = [
+        (name, f"{degrees(low):.1f} .. {degrees(high):.1f} deg", f"{degrees(speed):.0f} deg/s")
+        for name, low, high, speed in ranges
+    ]
+    print_table(f"{file}: ready", ("joint", "range", "speed"), rows)
+    return OK

@@ -1,0 +1,132 @@
+"""Options that several commands share, and the doors through which their values come in."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from scanmotion.errors import InputError
+
+if TYPE_CHECKING:
+    from scanmotion.cell.config import CellSettings
+    from scanmotion.part import Part
+
+PART, CELL, OUT = "What is scanned", "The cell", "Output"
+
+PartFile = Annotated[
+    Path | None,
+    typer.Option("--part", help="Mesh of the part (PLY, STL, OBJ).", rich_help_panel=PART),
+]
+Box = Annotated[
+    tuple[float, float, float] | None,
+    typer.Option(
+        "--box", metavar="L W H", help="Only the bounding box is known, in mm: global step alone.",
+        rich_help_panel=PART,
+    ),
+]  # fmt: skip
+ScanFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--scan", help="A measured global scan (cloud or mesh): local step alone.", rich_help_panel=PART
+    ),
+]
+Units = Annotated[
+    str, typer.Option("--units", help="Unit of the file: mm, cm, m or in.", rich_help_panel=PART)
+]
+Up = Annotated[
+    str, typer.Option("--up", help="Axis of the file that points up, e.g. +z or -y.", rich_help_panel=PART)
+]
+Place = Annotated[
+    str,
+    typer.Option(
+        "--place",
+        help="centre: on the table's centre; keep: the file is in the table's frame. "
+        "By default centre, and keep for --scan.",
+        rich_help_panel=PART,
+        show_default=False,
+    ),
+]
+Robot = Annotated[
+    str | None,
+    typer.Option("--robot", help="Built-in cell, see `scanmotion robots`.", rich_help_panel=CELL),
+]
+CellFile = Annotated[
+    Path | None,
+    typer.Option("--cell", help="Your own cell, see `scanmotion cell init`.", rich_help_panel=CELL),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Errors only.", rich_help_panel=OUT)]
+Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.", rich_help_panel=OUT)]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Same seed, same plan.")]
+
+
+def only_one(**given: object) -> str | None:
+    """Name of the one option that was given, None for none.
+
+    Raises:
+        InputError: more than one was given.
+    """
+    names = [name for name, value in given.items() if value is not None]
+    if len(names) > 1:
+        raise InputError(f"give only one of {', '.join('--' + n for n in names)}")
+    return names[0] if names else None
+
+
+def cell_from(robot: str | None, cell: Path | None) -> "CellSettings":
+    """The settings that --robot or --cell name; the KR 240 where neither is given."""
+    from scanmotion.cell.config import load_cell
+
+    only_one(robot=robot, cell=cell)
+    if cell is not None:
+        if not cell.is_file():
+            raise InputError(f"{cell}: no such file; `scanmotion cell init {cell}` writes one to start from")
+        return load_cell(cell)
+    return load_cell(robot or "kr240")
+
+
+def box_from(box: tuple[float, float, float]) -> "Part":
+    """A box part from sides in mm."""
+    from scanmotion.part import box_part
+
+    return box_part(*(side * 1e-3 for side in box))
+
+
+def part_and_source(
+    part: Path | None,
+    box: tuple[float, float, float] | None,
+    scan: Path | None,
+    *,
+    units: str = "mm",
+    up: str = "+z",
+    place: str = "",
+) -> tuple["Part", str]:
+    """The part and where it comes from: "mesh", "box" or "scan"; the built-in carving where none is given."""
+    from scanmotion.part import carving, part_from_file
+
+    given = only_one(part=part, box=box, scan=scan)
+    if box is not None:
+        return box_from(box), "box"
+    if scan is not None:
+        return part_from_file(scan, units=units, up=up, place=place or "keep"), "scan"
+    if part is not None:
+        return part_from_file(part, units=units, up=up, place=place or "centre"), "mesh"
+    assert given is None
+    return carving(), "mesh"
+
+
+def check_out_folder(out: Path) -> None:
+    """Refuses, before any work is done, a folder that a plan must not replace.
+
+    Raises:
+        InputError: a file of that name, a folder that holds something else, or no way to write there.
+    """
+    import os
+
+    if out.is_symlink() or (out.exists() and not out.is_dir()):
+        raise InputError(f"--out {out}: is not a folder")
+    if out.is_dir() and any(out.iterdir()) and not (out / "plan.json").is_file():
+        raise InputError(f"--out {out}: holds something that is not a plan; name another folder")
+    parent = out.resolve().parent
+    while not parent.exists():
+        parent = parent.parent
+    if not parent.is_dir() or not os.access(parent, os.W_OK):
+        raise InputError(f"--out {out}: cannot write in {parent}")

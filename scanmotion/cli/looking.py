@@ -1,0 +1,112 @@
+"""`scanmotion verify`, `show` and `export`: what is done with a plan's folder."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from scanmotion.cli.app import CHECK_FAILED, OK, print_table, progress_bar, say_json
+from scanmotion.cli.inputs import OUT, Json, Quiet
+from scanmotion.errors import InputError
+
+Folder = Annotated[Path, typer.Argument(help="Folder that `scanmotion plan` wrote.")]
+
+
+def verify(folder: Folder, quiet: Quiet = False, json: Json = False) -> int:
+    """Judge a plan again from its files alone: limits, clearance, speeds, viewpoints, budget."""
+    from scanmotion.verify import verify as judge
+
+    with progress_bar(quiet=quiet or json):
+        findings = judge(folder)
+    if json:
+        say_json({"ok": not findings, "findings": [str(f) for f in findings]})
+    elif not quiet:
+        if findings:
+            print_table("The judge found", ("finding",), [(str(f),) for f in findings])
+        else:
+            typer.echo("no finding")
+    return CHECK_FAILED if findings else OK
+
+
+def show(
+    folder: Folder,
+    live: Annotated[bool, typer.Option("--live", help="Serve the scene on localhost until Ctrl-C.")] = False,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the scene in the web browser.")
+    ] = True,
+    quiet: Quiet = False,
+) -> int:
+    """Write scene.html and report.html of a plan again and open the scene."""
+    from scanmotion.cli.planning import pages
+    from scanmotion.pipeline import load_plan
+
+    plan = load_plan(folder)
+    if live:
+        return _serve(plan, browser=browser)
+    with progress_bar(quiet=quiet) as progress:
+        for name, text in pages(plan, progress).items():
+            write_text(folder / name, text)
+            if not quiet:
+                typer.echo(str(folder / name))
+    if browser:
+        _open((folder / "scene.html").resolve().as_uri())
+    return OK
+
+
+def _serve(plan: object, *, browser: bool) -> int:
+    from threading import Event
+
+    from scanmotion.show import live_scene
+
+    scene = live_scene(plan)
+    typer.echo(f"{scene.web_url()} (Ctrl-C ends)")
+    if browser:
+        _open(scene.web_url())
+    try:
+        Event().wait()
+    except KeyboardInterrupt:
+        return OK
+    return OK
+
+
+def _open(address: str) -> None:
+    import webbrowser
+
+    webbrowser.open(address)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes the whole file or none of it: to a temporary name, then renamed."""
+    import os
+    import tempfile
+
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def export(
+    folder: Folder,
+    to: Annotated[str, typer.Option("--to", help="csv, json, viewpoints, krl, krl-timed, ros or mcap.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Where to write [default: the plan's folder].", rich_help_panel=OUT),
+    ] = None,
+    name: Annotated[str, typer.Option("--name", help="Name of the robot programme.")] = "scan",
+    quiet: Quiet = False,
+) -> int:
+    """Write a plan for a controller or another program."""
+    from scanmotion.export import export_plan
+
+    if out is not None and out.exists() and not out.is_dir():
+        raise InputError(f"--out {out}: is not a folder")
+    for path in export_plan(folder, to, out=out, name=name):
+        if not quiet:
+            typer.echo(str(path))
+    return OK

@@ -1,0 +1,213 @@
+"""`scanmotion plan` and `scanmotion compare`."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from scanmotion.cli.app import CHECK_FAILED, OK, print_table, progress_bar, say_json
+from scanmotion.cli.inputs import (
+    CELL,
+    OUT,
+    Box,
+    CellFile,
+    Json,
+    PartFile,
+    Place,
+    Quiet,
+    Robot,
+    ScanFile,
+    Seed,
+    Units,
+    Up,
+    cell_from,
+    check_out_folder,
+    part_and_source,
+)  # fmt: skip
+from scanmotion.errors import InputError
+
+STRATEGIES = ("two-step", "cad-slicing", "surface-partitioning")
+
+
+def plan(
+    robot: Robot = None,
+    cell: CellFile = None,
+    part: PartFile = None,
+    box: Box = None,
+    scan: ScanFile = None,
+    units: Units = "mm",
+    up: Up = "+z",
+    place: Place = "",
+    budget: Annotated[
+        float | None,
+        typer.Option("--budget", help="Seconds that the programme may take.", rich_help_panel=CELL),
+    ] = None,
+    strategy: Annotated[str, typer.Option("--strategy", help=", ".join(STRATEGIES) + ".")] = "two-step",
+    mode: Annotated[
+        str, typer.Option("--mode", help="default, or paper: the published formulas literally.")
+    ] = "default",
+    seed: Seed = 0,
+    out: Annotated[Path, typer.Option("--out", help="Folder of the plan.", rich_help_panel=OUT)] = Path(
+        "out"
+    ),
+    html: Annotated[
+        bool,
+        typer.Option("--html/--no-html", help="Write scene.html and report.html.", rich_help_panel=OUT),
+    ] = True,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> int:
+    """Plan a scan: viewpoints, order, motion, checks and files.
+
+    Without --part, --box or --scan the built-in carving is planned.
+    """
+    check_out_folder(out)
+    settings = with_budget(cell_from(robot, cell), budget)
+    subject, source = part_and_source(part, box, scan, units=units, up=up, place=place)
+    from scanmotion.pipeline import PlanOptions
+    from scanmotion.pipeline import plan as make_plan
+
+    options = PlanOptions(source=source, mode=mode, strategy=strategy, seed=seed)  # pyright: ignore
+    with progress_bar(quiet=quiet or json) as progress:
+        made = make_plan(subject, settings, options=options, progress=progress)
+        made.save(out, extras=pages(made, progress) if html else {})
+    summary = read_summary(out)
+    if json:
+        say_json(summary)
+    elif not quiet:
+        print_summary(summary, out, html=html)
+    return OK if passes(summary) else CHECK_FAILED
+
+
+def pages(made: Any, progress: Any) -> dict[str, str]:
+    """The two HTML files that go with a plan."""
+    from scanmotion.report import report_html
+    from scanmotion.show import scene_html
+
+    progress("scene", 0.0)
+    scene = scene_html(made)
+    progress("report", 0.5)
+    return {"scene.html": scene, "report.html": report_html(made)}
+
+
+def with_budget(settings: Any, budget: float | None) -> Any:
+    """The settings with another budget [s].
+
+    Raises:
+        InputError: the budget is not a positive number.
+    """
+    if budget is None:
+        return settings
+    if not 0.0 < budget < 1e6:
+        raise InputError(f"--budget {budget:g}: must be a positive number of seconds")
+    process = settings.process.model_copy(update={"budget_s": budget})
+    return settings.model_copy(update={"process": process})
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """summary.json of a plan folder."""
+    import json
+
+    return json.loads((folder / "summary.json").read_text())
+
+
+def passes(summary: dict[str, Any]) -> bool:
+    """Whether the plan is inside its budget and the judge found nothing."""
+    return bool(summary["budget"]["ok"]) and not summary["findings"]
+
+
+def print_summary(summary: dict[str, Any], folder: Path, *, html: bool = True) -> None:
+    """The table that ends `scanmotion plan`."""
+    print_table("The plan", (), summary_rows(summary))
+    unreachable = summary["viewpoints"]["unreachable"]
+    if unreachable:
+        rows = [(u["id"], u["reason"]) for u in unreachable]
+        print_table("Viewpoints left out", ("viewpoint", "reason"), rows)
+    if summary["findings"]:
+        rows = [(finding_line(f),) for f in summary["findings"]]
+        print_table("The judge found", ("finding",), rows)
+    names = ["trajectory.csv", "summary.json"] + (["scene.html", "report.html"] if html else [])
+    print_table("Files", (), [(name.split(".")[0], str(folder / name)) for name in names])
+
+
+def finding_line(finding: Any) -> str:
+    """A finding as one line, whether it is a sentence or a record."""
+    if isinstance(finding, dict):
+        return finding.get("message") or ", ".join(f"{k} {v}" for k, v in finding.items())
+    return str(finding)
+
+
+def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Name and value of each line of the final table."""
+    views, done, exact = summary["viewpoints"], summary["completeness"], summary["accuracy"]
+    time, budget = summary["time_s"], summary["budget"]
+
+    def share(value: float | None) -> str:
+        return "not known" if value is None else f"{value:.2%}"
+
+    def mm(value: float | None) -> str:
+        return "not known" if value is None else f"{value:.3f} mm"
+
+    split = ", ".join(f"{name} {time[name]:.1f}" for name in ("arm", "table", "sweep", "dwell"))
+    verdict, limit = ("inside" if budget["ok"] else "OVER"), budget["limit_s"]
+    return [
+        (
+            "viewpoints",
+            f"{views['global']} global, {views['local']} local, {len(views['unreachable'])} left out",
+        ),
+        ("completeness", f"{share(done['final'])} of what can be seen"),
+        ("after the global step", share(done["after_global"])),
+        ("of the whole surface", share(done["final_of_whole"])),
+        ("accuracy", f"mean {mm(exact['mean_abs_mm'])}, standard deviation {mm(exact['sd_signed_mm'])}"),
+        ("time", f"{time['total']:.1f} s, {verdict} the budget of {limit:g} s (floor {time['floor']:.1f} s)"),
+        ("of which [s]", split),
+        ("checks", "no finding" if not summary["findings"] else f"{len(summary['findings'])} findings"),
+        ("planned in", f"{summary['planning_s']['total']:.1f} s"),
+    ]  # fmt: skip
+
+
+def compare(
+    robot: Robot = None,
+    cell: CellFile = None,
+    part: PartFile = None,
+    units: Units = "mm",
+    up: Up = "+z",
+    variant: Annotated[
+        list[str] | None,
+        typer.Option("--variant", help="Row of the table; may be repeated. Default: the paper's three."),
+    ] = None,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, max=100, help="Seeds 0..N-1 for each.")] = 1,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> int:
+    """Compare scanning methods on one part: completeness, accuracy, time (table 3 of the paper)."""
+    settings = cell_from(robot, cell)
+    subject, _ = part_and_source(part, None, None, units=units, up=up)
+    from dataclasses import asdict
+
+    from scanmotion.comparison import compare as make_comparison
+
+    with progress_bar(quiet=quiet or json) as progress:
+        rows = make_comparison(
+            subject, settings, variants=variant or STRATEGIES, seeds=range(seeds), progress=progress
+        )
+    if json:
+        say_json([asdict(row) for row in rows])
+    elif not quiet:
+        header = ("variant", "integrity", "mean mm", "sd mm", "time s", "views", "left out", "paper")
+        print_table(f"Methods compared on {subject.name}", header, [comparison_row(row) for row in rows])
+    return OK
+
+
+def comparison_row(row: Any) -> tuple[str, ...]:
+    """A row of the comparison: mean and half spread over the seeds; beside it what the paper printed."""
+
+    def pair(value: tuple[float, float], form: str = ".2f") -> str:
+        mean, spread = value
+        return f"{mean:{form}}" + (f" +- {spread:{form}}" if spread > 0 else "")
+
+    paper = "" if row.paper is None else "{:.2%}, {:.2f} mm, {:.2f} mm, {:.0f} s".format(*row.paper)
+    return (
+        row.variant, pair(row.integrity, ".2%"), pair(row.mean_abs_mm, ".3f"), pair(row.sd_signed_mm, ".3f"),
+        pair(row.time_s, ".1f"), pair(row.viewpoints, ".0f"), pair(row.unreachable, ".0f"), paper,
+    )  # fmt: skip
