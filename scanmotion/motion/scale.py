@@ -19,7 +19,7 @@ MARGIN = 5e-4
 """Share of every limit that is left unused, for what happens between the checked instants."""
 _CHECK_S = 0.002
 _ROUNDS = 4
-_GRID = 300
+_GRID = 200
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -75,9 +75,9 @@ class TimeLaw:
 def parameter_grid(path: JointSpline, *, spacing: float = 1.0) -> np.ndarray:
     """Grid over [0, path.end], finer towards both ends where a law starts from rest."""
     end = path.end
-    n = int(max(_GRID, 12 * (len(path.curve.c) - 3)) / spacing)
+    n = int(max(_GRID, 9 * (len(path.curve.c) - 3)) / spacing)
     x = np.linspace(0.0, 1.0, n + 1)
-    return end * (x - 0.9 * np.sin(2 * np.pi * x) / (2 * np.pi))
+    return end * (x - 0.6 * np.sin(2 * np.pi * x) / (2 * np.pi))
 
 
 def ruckig_law(length: float, speed: float, acceleration: float, jerk: float) -> "RuckigLaw":
@@ -156,21 +156,25 @@ def _jerk_limited(
     windows: tuple[float, float],
     floor: float,
 ) -> TimeLaw:
-    """Averages over `windows`; where a limit is passed the accelerations there are lowered, a few times."""
+    """Averages over `windows`; where a limit is passed, speed or acceleration is lowered there, by turns."""
     share = np.ones(len(d.s))
     best: TimeLaw | None = None
     for _ in range(_ROUNDS):
-        law = _law(d.s, _profile(d, cap, limits.a * share[:, None]), windows, floor)
-        t, s, over = excess(path, d, law, limits)
-        stretch = float(over.max()) / (1 - MARGIN / 2)
+        x = _profile(d, cap, limits.a * share[:, None])
+        law = _law(d.s, x, windows, floor)
+        over = excess(path, d, law, limits)
+        stretch = float(over.factor.max()) / (1 - MARGIN / 2)
         fitted = _stretched(law, stretch)
         if best is None or fitted.duration < best.duration:
             best = fitted
         if stretch <= 1.002:
             break
-        spread = _running_max(over, int(np.ceil(sum(windows) / (t[1] - t[0]))))
-        at_grid = np.maximum(np.interp(d.s, s, spread), 1.0)
-        share = np.maximum(share / at_grid**2, 0.05)
+        half = int(np.ceil(sum(windows) / (over.t[1] - over.t[0])))
+        log = np.log(np.maximum(over.factor, 1.0))
+        slower = _running_max(log * over.bend, half)
+        softer = _running_max(log * (1 - over.bend), half)
+        cap = np.minimum(cap, x * np.exp(-2 * np.interp(d.s, over.s, slower)))
+        share = np.maximum(share * np.exp(-2 * np.interp(d.s, over.s, softer)), 0.05)
     assert best is not None
     return best
 
@@ -186,18 +190,31 @@ def _stretched(law: TimeLaw, k: float) -> TimeLaw:
     )
 
 
-def excess(
-    path: JointSpline, d: Derivatives, law: TimeLaw, limits: Limits
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times, s, and by how much time must be stretched at each of them for all limits to hold."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Excess:
+    """How far a law is from the limits, at closely spaced instants; all of shape (n,)."""
+
+    t: np.ndarray
+    s: np.ndarray
+    factor: np.ndarray
+    """By how much time would have to be stretched for all limits to hold at that instant."""
+    bend: np.ndarray
+    """Share of the worst jerk that the path causes at even speed; the rest comes from changes of ds/dt."""
+
+
+def excess(path: JointSpline, d: Derivatives, law: TimeLaw, limits: Limits) -> Excess:
+    """Compares the motion under `law` with the limits every 2 ms."""
     t = np.linspace(0.0, law.duration, max(int(law.duration / _CHECK_S), 40) + 1)
     s, s1, s2, s3 = law(t).T[:, :, None]
     q1, q2, q3 = (path(s[:, 0], k) for k in (1, 2, 3))
     tcp = np.linalg.norm(CubicSpline(d.s, d.p1)(s[:, 0]) * s1, axis=1)
     v = np.maximum((np.abs(q1 * s1) / limits.v).max(axis=1), tcp / limits.tcp)
     a = (np.abs(q2 * s1**2 + q1 * s2) / limits.a).max(axis=1)
-    j = (np.abs(q3 * s1**3 + 3 * q2 * s1 * s2 + q1 * s3) / limits.j).max(axis=1)
-    return t, s[:, 0], np.maximum(np.maximum(v, np.sqrt(a)), np.cbrt(j))
+    jerk = np.abs(q3 * s1**3 + 3 * q2 * s1 * s2 + q1 * s3) / limits.j
+    worst = jerk.argmax(axis=1)[:, None]
+    j, even = (np.take_along_axis(k, worst, axis=1)[:, 0] for k in (jerk, np.abs(q3 * s1**3) / limits.j))
+    factor = np.maximum(np.maximum(v, np.sqrt(a)), np.cbrt(j))
+    return Excess(t=t, s=s[:, 0], factor=factor, bend=np.clip(even / np.maximum(j, 1e-9), 0.0, 1.0))
 
 
 def _running_max(x: np.ndarray, half: int) -> np.ndarray:

@@ -1,0 +1,192 @@
+"""Transit: collision-free ways between the stops of a tour, short in seconds.
+
+For each gap the scanner's straight line in W and the straight joint edge are tried in the order of their
+durations; where none is free, or only a slow one, RRT-Connect plans round what blocks it and its path is
+shortened by pieces of the same two kinds as long as that saves time. What is checked at last is the very
+curve that timing drives on (`transit_spline`), sampled densely.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from scanmotion.cell.clearance import Clearance
+from scanmotion.cell.kinematics import tcp_jacobian
+from scanmotion.cell.plant import Cell
+from scanmotion.errors import PathError
+from scanmotion.motion.drive import positions, seconds_along, transit_limits, transit_spline
+from scanmotion.motion.roadmap import plan_round
+from scanmotion.motion.spline import STEP_M, STEP_RAD, subdivided
+from scanmotion.motion.steer import chord, least_seconds, ways, with_table
+from scanmotion.motion.tour import Path, Tour
+
+SAMPLES_PER_SPAN = 2
+"""Checked points on the driven curve per span of its spline; their straight edges are stepped more finely."""
+_SLOW = 1.25
+"""A free way this many times slower than the fastest imaginable is worth planning against."""
+_SLOW_S = 1.0
+_TRIES = 3
+_FEW_CHECKS = 1500
+_SHORTCUTS = 60
+_ROOM_RAD = 0.8
+_EDGE_S = 3.0
+
+
+def transits(
+    cell: Cell,
+    clearance: Clearance,
+    tour: Tour,
+    *,
+    rng: np.random.Generator,
+    progress: Callable[[float], None] | None = None,
+) -> list[Path]:
+    """One collision-free path for each gap: from the start to the first stop, from stop to stop.
+
+    Args:
+        cell: its axes' limits and transit speed.
+        clearance: the collision checker of the cell.
+        tour: the stops in order.
+        rng: source of the planner's random numbers.
+        progress: told the share done.
+
+    Raises:
+        PathError: no way was found; names the two bodies that are in the way and the stop.
+    """
+    seeds = rng.integers(1, 2**31 - 1, size=len(tour.stops))
+    at = np.asarray(tour.start_q, dtype=float)
+    paths = []
+    for n, stop in enumerate(tour.stops):
+        paths.append(_transit(cell, clearance, at, np.asarray(stop.q_in, dtype=float), int(seeds[n]), n))
+        at = np.asarray(stop.q_out, dtype=float)
+        if progress is not None:
+            progress((n + 1) / len(tour.stops))
+    return paths
+
+
+def transit(
+    cell: Cell, clearance: Clearance, qa: np.ndarray, qb: np.ndarray, *, rng: np.random.Generator
+) -> Path:
+    """A collision-free path from qa to qb, shape (7,) each; see `transits`."""
+    return _transit(cell, clearance, qa, qb, int(rng.integers(1, 2**31 - 1)), 0)
+
+
+def _transit(cell: Cell, clearance: Clearance, qa: np.ndarray, qb: np.ndarray, seed: int, stop: int) -> Path:
+    if np.abs(qb - qa).max() < 1e-9:
+        return Path(q=np.array([qa, qb]), seconds=0.0, method="joint")
+    ranked = sorted(
+        (Path(q=q, seconds=seconds_along(cell, q), method=method) for method, q in ways(cell, qa, qb)),
+        key=lambda path: path.seconds,
+    )
+    direct = next((path for path in ranked if driven_free(cell, clearance, path.q)[0]), None)
+    least = float(least_seconds(cell, qa, qb)[0])
+    if direct is not None and direct.seconds <= max(_SLOW * least, least + _SLOW_S):
+        return direct
+    rng = np.random.default_rng(seed)
+    found = [direct] if direct is not None else []
+    for attempt in range(_TRIES):
+        planned = _planned(cell, clearance, qa, qb, rng, attempt)
+        if planned is not None:
+            found.append(planned)
+            if planned.seconds <= _SLOW * least:
+                break
+    if not found:
+        raise _blocked(cell, clearance, ranked[0].q, stop)
+    return min(found, key=lambda path: path.seconds)
+
+
+def driven_free(
+    cell: Cell, clearance: Clearance, q: np.ndarray
+) -> tuple[bool, int | None, tuple[str, str] | None]:
+    """Whether the curve driven along the polyline `q` (k, 7) is free; else where and which bodies meet."""
+    path = transit_spline(cell, q)
+    samples = path(np.linspace(0.0, path.end, SAMPLES_PER_SPAN * round(path.end) + 1))
+    if (samples < cell.q_min).any() or (samples > cell.q_max).any():
+        return False, None, None
+    return clearance.path_free(samples)
+
+
+def _planned(
+    cell: Cell,
+    clearance: Clearance,
+    qa: np.ndarray,
+    qb: np.ndarray,
+    rng: np.random.Generator,
+    attempt: int,
+) -> Path | None:
+    """One run of the planner, shortened and rounded; later attempts look further away and longer."""
+    room = _ROOM_RAD * (1 + attempt)
+    lower = np.maximum(np.minimum(qa, qb) - room, cell.q_min)
+    upper = np.minimum(np.maximum(qa, qb) + room, cell.q_max)
+    found = plan_round(
+        lambda a, b: bool(clearance.edges_free(a[None], b[None])[0]),
+        lambda q: bool(clearance.free(q[None])[0]),
+        (qa, qb),
+        (lower, upper),
+        scale=_scale(cell, qa, qb),
+        reach=_EDGE_S,
+        seed=int(rng.integers(1, 2**31 - 1)),
+        most_checks=_FEW_CHECKS * 2**attempt,
+    )
+    if found is None:
+        return None
+    q = _shortened(cell, clearance, subdivided(found, positions(cell, found)), rng)
+    options = [
+        with_table(cell, q),
+        q,
+        subdivided(q, positions(cell, q), step_rad=STEP_RAD / 3, step_m=STEP_M / 3),
+    ]
+    free = [option for option in options if driven_free(cell, clearance, option)[0]]
+    timed = [Path(q=option, seconds=seconds_along(cell, option), method="planned") for option in free]
+    return min(timed, key=lambda path: path.seconds, default=None)
+
+
+def _scale(cell: Cell, qa: np.ndarray, qb: np.ndarray) -> np.ndarray:
+    """Seconds that a radian of each joint costs at least, for the scanner's way or the joint itself."""
+    limits = transit_limits(cell)
+    lever = np.linalg.norm(tcp_jacobian(cell, np.array([qa, qb]))[:, 3:], axis=1).mean(axis=0)
+    return np.maximum(lever / limits.tcp, 1 / limits.v)
+
+
+def _pace(cell: Cell, q: np.ndarray) -> np.ndarray:
+    """Seconds from the start to each vertex without regard to acceleration, shape (k,)."""
+    limits = transit_limits(cell)
+    steps = np.linalg.norm(np.diff(positions(cell, q), axis=0), axis=1) / limits.tcp
+    steps = np.maximum(steps, (np.abs(np.diff(q, axis=0)) / limits.v).max(axis=1))
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _shortened(cell: Cell, clearance: Clearance, q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Replaces stretches by the scanner's straight line or a straight edge where that is free and faster."""
+    at = _pace(cell, q)
+    for _ in range(_SHORTCUTS):
+        a, b = np.sort(rng.uniform(0.0, at[-1], size=2))
+        i, j = int(np.searchsorted(at, a)), int(np.searchsorted(at, b))
+        if j - i < 2:
+            continue
+        pieces = [chord(cell, q[i], q[j]), subdivided(q[[i, j]], positions(cell, q[[i, j]]))]
+        timed = [(float(_pace(cell, piece)[-1]), k) for k, piece in enumerate(pieces) if piece is not None]
+        for seconds, k in sorted(timed):
+            piece = pieces[k]
+            if piece is None or seconds > at[j] - at[i] - 1e-3:
+                break
+            if clearance.edges_free(piece[:-1], piece[1:]).all():
+                q = np.vstack([q[:i], piece, q[j + 1 :]])
+                at = _pace(cell, q)
+                break
+    return q
+
+
+def _blocked(cell: Cell, clearance: Clearance, q: np.ndarray, stop: int) -> PathError:
+    _, index, pair = driven_free(cell, clearance, q)
+    names = pair or ("", "")
+    depth = 0.0
+    if index is not None:
+        path = transit_spline(cell, q)
+        at = path(np.array([index / SAMPLES_PER_SPAN]))[0]
+        depth = float(cell.settings.process.clearance_m) - float(clearance.distance(at)[0])
+    return PathError(
+        f"{names[0]} and {names[1]} come {1000 * depth:.0f} mm too close on the way; no way round was found",
+        pair=names,
+        depth=depth,
+        stop=stop,
+    )
