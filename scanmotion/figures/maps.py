@@ -1,0 +1,159 @@
+"""Coverage before and after, the holes, the viewpoints round the part, and the cell from above."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from scanmotion.figures import palette
+from scanmotion.figures.surface import in_sight, plain_image, status_image, status_of_samples, view_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SIDES = (
+    ("from +x", 0, 10),
+    ("from +y", 90, 10),
+    ("from -x", 180, 10),
+    ("from -y", 270, 10),
+    ("from above", 0, 89.9),
+)
+"""Name, azimuth and elevation [deg] of the views that a row of pictures shows."""
+
+
+def new_figure(width: float, height: float) -> "Figure":
+    """A figure that belongs to nobody's window."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained", dpi=110)
+
+
+def coverage_figure(plan: Any) -> "Figure":
+    """Five sides of the part after the global step (upper row) and at the end (lower row)."""
+    figure = new_figure(11.5, 5.2)
+    axes = figure.subplots(2, len(SIDES))
+    for row, after, title in ((0, "global", "after the global step"), (1, "final", "at the end")):
+        status = status_of_samples(plan, after=after)
+        for column, (side, azimuth, elevation) in enumerate(SIDES):
+            view = view_of(plan.part, azimuth=azimuth, elevation=elevation)
+            _image(axes[row, column], status_image(plan.part, view, plan.samples, status))
+            axes[row, column].set_title(f"{side}, {title}" if column == 0 else side, fontsize=8)
+    _legend(figure, list(zip(palette.STATUS_NAMES, palette.STATUS_COLOURS, strict=True)))
+    return figure
+
+
+def hole_figure(part: Any, report: Any) -> "Figure":
+    """Five sides of the part with the boundary of each hole, coloured by kind and numbered."""
+    figure = new_figure(11.5, 3.0)
+    axes = figure.subplots(1, len(SIDES))
+    for ax, (side, azimuth, elevation) in zip(axes, SIDES, strict=True):
+        image, picture = plain_image(part, view_of(part, azimuth=azimuth, elevation=elevation))
+        _image(ax, image)
+        ax.set_title(side, fontsize=8)
+        for number, hole in enumerate(report.holes, start=1):
+            loop = np.vstack([hole.boundary, hole.boundary[:1]])
+            shown = in_sight(picture, loop)
+            if not shown.any():
+                continue
+            column, row, _ = picture.view.pixels(loop)
+            colour = palette.HOLE_COLOURS.get(hole.kind, "#444444")
+            ax.plot(np.where(shown, column, np.nan), np.where(shown, row, np.nan), color=colour, lw=1.2)
+            ax.annotate(f"H{number}", (column[shown][0], row[shown][0]), color=colour, fontsize=7)
+    kinds = sorted({hole.kind for hole in report.holes})
+    _legend(figure, [(kind, palette.HOLE_COLOURS.get(kind, "#444444")) for kind in kinds])
+    return figure
+
+
+def reach_figure(plan: Any) -> "Figure":
+    """Viewpoints round the part from above and from the side; colour says served, or why not."""
+    figure = new_figure(10.0, 4.4)
+    above, beside = figure.subplots(1, 2)
+    causes = causes_of(plan)
+    for view in plan.viewpoints:
+        colour = palette.CAUSE_COLOURS[causes[view.id]]
+        tip = view.p_OS + view.standoff * view.direction
+        radius, tip_radius = np.hypot(*view.p_OS[:2]), np.hypot(*tip[:2])
+        for ax, x, y, dx, dy in (
+            (above, view.p_OS[0], view.p_OS[1], *(tip - view.p_OS)[:2]),
+            (beside, radius, view.p_OS[2], tip_radius - radius, tip[2] - view.p_OS[2]),
+        ):
+            ax.plot(x, y, marker="o" if view.kind == "revolution" else "s", ms=4, color=colour)
+            ax.plot([x, x + 0.25 * dx], [y, y + 0.25 * dy], color=colour, lw=0.8)
+            ax.annotate(view.id, (x, y), fontsize=6, textcoords="offset points", xytext=(3, 3))
+    _silhouette(above, beside, plan)
+    used = sorted(set(causes.values()), key=list(palette.CAUSE_COLOURS).index)
+    _legend(figure, [(name.replace("_", " "), palette.CAUSE_COLOURS[name]) for name in used])
+    return figure
+
+
+def causes_of(plan: Any) -> dict[str, str]:
+    """For each viewpoint "served" or the cause for which it was left out."""
+    lost = dict(plan.unreachable)
+    causes = {}
+    for view in plan.viewpoints:
+        reason = lost.get(view.id)
+        known = (c for c in palette.CAUSE_COLOURS if reason is not None and c in reason.replace(" ", "_"))
+        causes[view.id] = "served" if reason is None else next(known, "other")
+    return causes
+
+
+def _silhouette(above: "Axes", beside: "Axes", plan: Any) -> None:
+    points = plan.part.vertices[:: max(1, len(plan.part.vertices) // 4000)]
+    above.plot(points[:, 0], points[:, 1], ",", color="#b0b0b0", zorder=0)
+    beside.plot(np.hypot(points[:, 0], points[:, 1]), points[:, 2], ",", color="#b0b0b0", zorder=0)
+    radius = plan.cell.settings.turntable.diameter_m / 2
+    turn = np.linspace(0.0, 2.0 * np.pi, 100)
+    above.plot(radius * np.cos(turn), radius * np.sin(turn), color="#b0b0b0", lw=0.8)
+    beside.plot([0.0, radius], [0.0, 0.0], color="#b0b0b0", lw=2.0)
+    above.set(xlabel="x of O [m]", ylabel="y of O [m]", aspect="equal", title="from above")
+    beside.set(
+        xlabel="distance from the table's axis [m]",
+        ylabel="z of O [m]",
+        aspect="equal",
+        title="from the side",
+    )
+
+
+def cell_figure(plan: Any, X_WS: np.ndarray) -> "Figure":
+    """The way of the scanner's optical centre in the cell, from above and from the side.
+
+    Args:
+        plan: a plan with a trajectory.
+        X_WS: pose of S at each time of the trajectory, shape (N, 4, 4).
+    """
+    figure = new_figure(10.0, 4.4)
+    views = figure.subplots(1, 2)
+    p, trajectory = X_WS[:, :3, 3], plan.trajectory
+    for operation in trajectory.operations:
+        inside = (trajectory.t >= operation.t_start) & (trajectory.t <= operation.t_end)
+        colour = palette.OPERATION_COLOURS[operation.kind]
+        still = np.ptp(p[inside], axis=0).max() < 1e-6
+        for ax, second in zip(views, (1, 2), strict=True):
+            ax.plot(p[inside, 0], p[inside, second], "o" if still else "-", color=colour, ms=4, lw=1.2)
+    table, base = plan.cell.X_WT[:3, 3], plan.cell.X_WB[:3, 3]
+    radius, turn = plan.cell.settings.turntable.diameter_m / 2, np.linspace(0.0, 2.0 * np.pi, 100)
+    views[0].plot(table[0] + radius * np.cos(turn), table[1] + radius * np.sin(turn), color="#b0b0b0")
+    views[1].plot(table[0] + radius * np.array([-1, 1]), table[[2, 2]], color="#b0b0b0", lw=2)
+    for ax, second, name in zip(views, (1, 2), "yz", strict=True):
+        ax.plot(base[0], base[second], "^", color="#444444", ms=9)
+        ax.annotate("robot", (base[0], base[second]), textcoords="offset points", xytext=(6, 6), fontsize=7)
+        ax.set(xlabel="x of W [m]", ylabel=f"{name} of W [m]", aspect="equal")
+        ax.grid(alpha=0.3)
+    kinds = dict.fromkeys(o.kind for o in trajectory.operations)
+    _legend(figure, [(kind, palette.OPERATION_COLOURS[kind]) for kind in kinds])
+    return figure
+
+
+def _image(ax: "Axes", image: np.ndarray) -> None:
+    ax.imshow(image, interpolation="nearest", aspect="equal")
+    ax.set_axis_off()
+
+
+def _legend(figure: "Figure", entries: list[tuple[str, str]]) -> None:
+    from matplotlib.patches import Patch
+
+    if entries:
+        handles = [Patch(color=colour, label=name) for name, colour in entries]
+        figure.legend(
+            handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False
+        )
