@@ -152,7 +152,7 @@ def shaded(picture: Picture, colours: np.ndarray) -> np.ndarray:
 def nearest_status(
     points: np.ndarray, normals: np.ndarray, samples: SurfaceSamples, status: np.ndarray
 ) -> np.ndarray:
-    """Status of the sample nearest to each point; a normal that differs counts as far, so sharp edges stay."""
+    """Status of the sample nearest to each point; a different normal counts as far: sharp edges stay."""
     tree = cKDTree(np.hstack([samples.points, 0.02 * samples.normals]))
     return status[tree.query(np.hstack([points, 0.02 * normals]), workers=1)[1]]
 
