@@ -1,7 +1,7 @@
 """Writes robots/*.urdf and their visual meshes from robot_data.py: `python models/generate.py`.
 
-The visual meshes are convex hulls of a few discs and blocks per link, ours throughout, so that the scene looks
-like the robot that it shows; collision geometry is the boxes of the data sheet's outline.
+The visual meshes are convex hulls of a few discs and blocks per link, ours throughout, so that the scene
+looks like the robot that it shows; collision geometry is the boxes of the data sheet's outline.
 """
 
 from pathlib import Path
@@ -82,7 +82,10 @@ def obj_text(points: np.ndarray) -> str:
     hull = ConvexHull(points)
     corners = points[hull.simplices].copy()
     normals = hull.equations[:, :3]
-    inward = np.einsum("ij,ij->i", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), normals) < 0
+    inward = (
+        np.einsum("ij,ij->i", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), normals)
+        < 0
+    )
     corners[inward] = corners[inward][:, ::-1]
     lines = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in corners.reshape(-1, 3)]
     lines += [f"vn {x:.4f} {y:.4f} {z:.4f}" for x, y, z in normals]
@@ -95,7 +98,9 @@ def boxes_of(name: str) -> list[list[tuple]]:
     adjusted = []
     for i, boxes in enumerate(KR240_BOXES):
         cut = ROBOTS[name]["adjust"].get(i, 0.0)
-        adjusted.append([(low, (high[0] + (cut if high[0] > 0.7 else 0.0), *high[1:])) for low, high in boxes])
+        adjusted.append(
+            [(low, (high[0] + (cut if high[0] > 0.7 else 0.0), *high[1:])) for low, high in boxes]
+        )
         adjusted[-1] = [
             ((low[0] + (cut if low[0] > 0.7 else 0.0), *low[1:]), high) for low, high in adjusted[-1]
         ]  # fmt: skip
@@ -110,15 +115,24 @@ def link_xml(name: str, i: int) -> list[str]:
     out += ["      <inertia " + " ".join(f'{k}="{v}"' for k, v in zip(keys, inertia, strict=True)) + "/>"]
     out += ["    </inertial>"]
     for n, (_, colour) in enumerate(visuals(name)[LINKS[i]]):
-        out += ["    <visual>", f'      <geometry><mesh filename="../meshes/{name}_{LINKS[i]}_{n}.obj"/></geometry>']
-        out += [f'      <material name="m{colour[0]:.2f}"><color rgba="{nums(colour)}"/></material>', "    </visual>"]
+        out += [
+            "    <visual>",
+            f'      <geometry><mesh filename="../meshes/{name}_{LINKS[i]}_{n}.obj"/></geometry>',
+        ]
+        out += [
+            f'      <material name="m{colour[0]:.2f}"><color rgba="{nums(colour)}"/></material>',
+            "    </visual>",
+        ]
     for n, (low, high) in enumerate(boxes_of(name)[i]):
         low_, high_ = np.array(low), np.array(high)
         if i == 6:
             shape, rpy = '<cylinder radius="0.1" length="0.04"/>', ' rpy="0 1.5707963267948966 0"'
         else:
             shape, rpy = f'<box size="{nums(high_ - low_)}"/>', ""
-        out += [f'    <collision name="{LINKS[i]}_{n}">', f'      <origin xyz="{nums((low_ + high_) / 2)}"{rpy}/>']
+        out += [
+            f'    <collision name="{LINKS[i]}_{n}">',
+            f'      <origin xyz="{nums((low_ + high_) / 2)}"{rpy}/>',
+        ]
         out += [f"      <geometry>{shape}</geometry>", "    </collision>"]
     return [*out, "  </link>"]
 
@@ -129,7 +143,10 @@ def nums(values: tuple | np.ndarray) -> str:
 
 def urdf_text(name: str) -> str:
     robot = ROBOTS[name]
-    out = ['<?xml version="1.0"?>', f"<!-- {robot['title']}. Written by models/generate.py; source: {robot['source']} -->"]
+    out = [
+        '<?xml version="1.0"?>',
+        f"<!-- {robot['title']}. Written by models/generate.py; source: {robot['source']} -->",
+    ]
     out += [f'<robot name="{name.replace("-", "_")}">']
     for i in range(7):
         out += link_xml(name, i)
@@ -137,7 +154,10 @@ def urdf_text(name: str) -> str:
         low, high = np.deg2rad(robot["ranges"][i])
         out += [f'  <joint name="A{i + 1}" type="revolute">', f'    <parent link="{LINKS[i]}"/>']
         out += [f'    <child link="{LINKS[i + 1]}"/>']
-        out += [f'    <origin xyz="{nums(robot["offsets"][i])}"/>', f'    <axis xyz="{nums(robot["axes"][i])}"/>']
+        out += [
+            f'    <origin xyz="{nums(robot["offsets"][i])}"/>',
+            f'    <axis xyz="{nums(robot["axes"][i])}"/>',
+        ]
         out += [
             f'    <limit lower="{low:.9f}" upper="{high:.9f}" velocity="{np.deg2rad(robot["velocity"][i]):.9f}" '
             f'effort="{robot["effort"][i]}"/>',
@@ -145,7 +165,11 @@ def urdf_text(name: str) -> str:
         ]
     flange = robot["offsets"][6] if len(robot["offsets"]) > 6 else (0, 0, 0)
     out += ['  <link name="tool0"/>', '  <joint name="flange" type="fixed">', '    <parent link="link_6"/>']
-    out += ['    <child link="tool0"/>', f'    <origin xyz="{nums(flange)}" rpy="0 1.5707963267948966 0"/>', "  </joint>"]
+    out += [
+        '    <child link="tool0"/>',
+        f'    <origin xyz="{nums(flange)}" rpy="0 1.5707963267948966 0"/>',
+        "  </joint>",
+    ]
     return "\n".join([*out, "</robot>"]) + "\n"
 
 
@@ -157,7 +181,18 @@ def write_robot(name: str) -> None:
             (HERE / "meshes" / f"{name}_{link}_{n}.obj").write_text(obj_text(points))
 
 
+def facts_text() -> str:
+    """robots.yaml: what a URDF has no place for."""
+    out = ["# Facts of the built-in robots that a URDF does not hold. Written by models/generate.py."]
+    for name, robot in ROBOTS.items():
+        out += [f"{name}:", f"  title: {robot['title']}", f'  source: "{robot["source"]}"']
+        out += [f"  reach_m: {robot['reach']}", f"  payload_kg: {robot['payload']}", "  acceleration_rad_s2:"]
+        out += [f"    rated: {list(robot['rated'])}", f"    light: {list(robot['light'])}"]
+    return "\n".join(out) + "\n"
+
+
 if __name__ == "__main__":
+    (HERE / "robots" / "robots.yaml").write_text(facts_text())
     for robot_name in ROBOTS:
         write_robot(robot_name)
         print(robot_name)
