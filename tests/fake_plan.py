@@ -34,21 +34,38 @@ def trajectory_through(stops, kinds, seconds, viewpoints):
             operation.append(i)
         operations.append(
             Operation(
-                index=i, kind=kind, viewpoints=viewpoints[i], t_start=start, t_end=t[-1], q_start=stops[i], q_end=stops[i + 1]
+                index=i,
+                kind=kind,
+                viewpoints=viewpoints[i],
+                t_start=start,
+                t_end=t[-1],
+                q_start=stops[i],
+                q_end=stops[i + 1],
             )
-        )  # fmt: skip
+        )
     return Trajectory(
-        t=np.array(t), q=np.array(q), qd=np.array(qd), qdd=np.array(qdd), operation=np.array(operation), operations=tuple(operations)
-    )  # fmt: skip
+        t=np.array(t),
+        q=np.array(q),
+        qd=np.array(qd),
+        qdd=np.array(qdd),
+        operation=np.array(operation),
+        operations=tuple(operations),
+    )
 
 
 def fake_hole(kind="common"):
     turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     loop = np.column_stack([np.full(24, 0.1), 0.03 * np.cos(turn), 0.2 + 0.05 * np.sin(turn)])
     return SimpleNamespace(
-        boundary=loop, kind=kind, center=loop.mean(axis=0), normal=np.array([1.0, 0, 0]),
-        X_OH=np.eye(4), extent=np.array([0.1, 0.06, 0.0]), perimeter=0.25, area=0.0047,
-    )  # fmt: skip
+        boundary=loop,
+        kind=kind,
+        center=loop.mean(axis=0),
+        normal=np.array([1.0, 0, 0]),
+        X_OH=np.eye(4),
+        extent=np.array([0.1, 0.06, 0.0]),
+        perimeter=0.25,
+        area=0.0047,
+    )
 
 
 def fake_cell():
@@ -60,10 +77,18 @@ def fake_cell():
     X_WT = np.eye(4)
     X_WT[:3, 3] = 2.2, 0.0, 0.7
     return SimpleNamespace(
-        settings=settings, X_WB=np.eye(4), X_WT=X_WT, X_TO=np.eye(4), joint_names=("A1", "A2", "A3", "A4", "A5", "A6", "E1"),
-        q_min=np.deg2rad([-185, -120, -100, -350, -120, -350, -3600.0]), q_max=np.deg2rad([185, 70, 170, 350, 120, 350, 3600.0]),
-        v_max=np.full(7, 2.0), a_max=np.full(7, 5.0), j_max=np.full(7, 50.0), home=HOME,
-    )  # fmt: skip
+        settings=settings,
+        X_WB=np.eye(4),
+        X_WT=X_WT,
+        X_TO=np.eye(4),
+        joint_names=("A1", "A2", "A3", "A4", "A5", "A6", "E1"),
+        q_min=np.deg2rad([-185, -120, -100, -350, -120, -350, -3600.0]),
+        q_max=np.deg2rad([185, 70, 170, 350, 120, 350, 3600.0]),
+        v_max=np.full(7, 2.0),
+        a_max=np.full(7, 5.0),
+        j_max=np.full(7, 50.0),
+        home=HOME,
+    )
 
 
 def fake_plan():
@@ -73,37 +98,67 @@ def fake_plan():
     sides, top = np.abs(samples.normals[:, 2]) < 0.5, samples.normals[:, 2] > 0.5
     views = (
         Viewpoint(
-            id="G1", X_OS=look_at(np.array([0.8, 0, 0.2]), np.array([-1.0, 0, 0])), standoff=0.7, step="global", kind="revolution"
+            id="G1",
+            X_OS=look_at(np.array([0.8, 0, 0.2]), np.array([-1.0, 0, 0])),
+            standoff=0.7,
+            step="global",
+            kind="revolution",
         ),
         Viewpoint(
-            id="L1.1", X_OS=look_at(np.array([0, 0, 1.1]), np.array([0, 0, -1.0])), standoff=0.7, step="local", kind="station"
+            id="L1.1",
+            X_OS=look_at(np.array([0, 0, 1.1]), np.array([0, 0, -1.0])),
+            standoff=0.7,
+            step="local",
+            kind="station",
         ),
         Viewpoint(
-            id="L2.1", X_OS=look_at(np.array([0.3, 0, 1.0]), np.array([-0.3, 0, -1.0])), standoff=0.7, step="local", kind="station"
+            id="L2.1",
+            X_OS=look_at(np.array([0.3, 0, 1.0]), np.array([-0.3, 0, -1.0])),
+            standoff=0.7,
+            step="local",
+            kind="station",
         ),
-    )  # fmt: skip
+    )
     a = HOME + np.deg2rad([10, 20, -10, 5, 20, 0, 0])
     b = a + np.array([0, 0, 0, 0, 0, 0, 2 * np.pi])
     c = b + np.deg2rad([5, -10, 5, 0, 10, 0, 0])
     trajectory = trajectory_through(
-        [HOME, a, b, c, c], ["transit", "revolution", "transit", "dwell"], [3.0, 8.0, 2.0, 0.5], [("G1",), ("G1",), ("L1.1",), ("L1.1",)]
-    )  # fmt: skip
+        [HOME, a, b, c, c],
+        ["transit", "revolution", "transit", "dwell"],
+        [3.0, 8.0, 2.0, 0.5],
+        [("G1",), ("G1",), ("L1.1",), ("L1.1",)],
+    )
     rounds = (
         SimpleNamespace(step="global", seen=sides.copy(), leg=None),
         SimpleNamespace(step="local", seen=sides | top, leg=None),
     )
     summary = {
-        "viewpoints": {"global": 1, "local": 2, "unreachable": [{"id": "L2.1", "reason": "out of reach: 3.1 m <b>"}]},
+        "viewpoints": {
+            "global": 1,
+            "local": 2,
+            "unreachable": [{"id": "L2.1", "reason": "out of reach: 3.1 m <b>"}],
+        },
         "completeness": {"after_global": 0.88, "final": 1.0, "final_of_whole": 0.93},
         "accuracy": {"mean_abs_mm": 0.08, "sd_signed_mm": 0.1, "mean_signed_mm": 0.01},
         "time_s": {"total": 13.5, "arm": 5.0, "table": 8.0, "sweep": 0.0, "dwell": 0.5, "floor": 12.0},
         "budget": {"limit_s": 152.0, "ok": True},
         "findings": [],
         "planning_s": {"total": 3.0, "motion": 2.0},
-    }  # fmt: skip
+    }
     return SimpleNamespace(
-        part=part, cell=fake_cell(), options=SimpleNamespace(seed=7, mode="default", strategy="two-step", source="mesh"),
-        rounds=rounds, trajectory=trajectory, cloud=None, holes=SimpleNamespace(holes=(fake_hole(),), tiny=(), notes=()),
-        samples=samples, visible=sides | top, seen=sides | top, viewpoints=views,
-        unreachable=(("L2.1", "out of reach: 3.1 m <b>"),), dropped=(), unscanned=(), summary=summary,
-    )  # fmt: skip
+        part=part,
+        cell=fake_cell(),
+        options=SimpleNamespace(seed=7, mode="default", strategy="two-step", source="mesh"),
+        rounds=rounds,
+        trajectory=trajectory,
+        cloud=None,
+        holes=SimpleNamespace(holes=(fake_hole(),), tiny=(), notes=()),
+        samples=samples,
+        visible=sides | top,
+        seen=sides | top,
+        viewpoints=views,
+        unreachable=(("L2.1", "out of reach: 3.1 m <b>"),),
+        dropped=(),
+        unscanned=(),
+        summary=summary,
+    )

@@ -130,3 +130,22 @@ def check_out_folder(out: Path) -> None:
         parent = parent.parent
     if not parent.is_dir() or not os.access(parent, os.W_OK):
         raise InputError(f"--out {out}: cannot write in {parent}")
+
+
+def check_known(option: str, value: str, known: tuple[str, ...]) -> None:
+    """Refuses a value that is not one of the known ones.
+
+    Raises:
+        InputError: with the known ones.
+    """
+    if value not in known:
+        raise InputError(f"{option} {value}: unknown; known: {', '.join(known)}")
+
+
+def check_mode(mode: str) -> None:
+    """Refuses an unknown mode.
+
+    Raises:
+        InputError: with the known ones.
+    """
+    check_known("--mode", mode, ("default", "paper"))

@@ -21,6 +21,8 @@ from scanmotion.cli.inputs import (
     Units,
     Up,
     cell_from,
+    check_known,
+    check_mode,
     check_out_folder,
     part_and_source,
 )  # fmt: skip
@@ -61,6 +63,8 @@ def plan(
 
     Without --part, --box or --scan the built-in carving is planned.
     """
+    check_mode(mode)
+    check_known("--strategy", strategy, STRATEGIES)
     check_out_folder(out)
     settings = with_budget(cell_from(robot, cell), budget)
     subject, source = part_and_source(part, box, scan, units=units, up=up, place=place)

@@ -21,6 +21,7 @@ from scanmotion.cli.inputs import (
     Units,
     Up,
     cell_from,
+    check_mode,
     only_one,
     part_and_source,
 )  # fmt: skip
@@ -85,16 +86,6 @@ def hole_record(hole: Any) -> dict[str, Any]:
         "perimeter_mm": round(hole.perimeter * 1e3, 3),
         "area_mm2": round(hole.area * 1e6, 3),
     }
-
-
-def check_mode(mode: str) -> None:
-    """Refuses an unknown mode.
-
-    Raises:
-        InputError: with the known ones.
-    """
-    if mode not in ("default", "paper"):
-        raise InputError(f"--mode {mode}: unknown; known: default, paper")
 
 
 def viewpoints(
@@ -282,16 +273,22 @@ def fuse(
     return OK
 
 
+def robot_record(name: str, settings: Any) -> dict[str, Any]:
+    """A built-in cell and the robot in it."""
+    from scanmotion.cell.plant import robot_facts
+
+    facts = robot_facts()[settings.robot.model]
+    return {"name": name} | {key: facts[key] for key in ("title", "reach_m", "payload_kg", "source")}
+
+
 def robots(json: Json = False) -> int:
     """List the built-in robots and cells."""
     from scanmotion.cell.config import builtin_cells, load_cell
 
-    records = []
-    for name in builtin_cells():
-        settings = load_cell(name)
-        records.append({"name": name, "robot": settings.robot.name, "source": settings.robot.source})
+    records = [robot_record(name, load_cell(name)) for name in builtin_cells()]
     if json:
         say_json(records)
         return OK
-    print_table("Built-in cells", ("name", "robot", "source"), [tuple(r.values()) for r in records])
+    rows = [tuple(str(value) for value in record.values()) for record in records]
+    print_table("Built-in cells", ("name", "robot", "reach m", "payload kg", "numbers from"), rows)
     return OK

@@ -17,9 +17,12 @@ def joint_figure(trajectory: Any, cell: Any) -> "Figure":
     figure = new_figure(11.0, 7.0)
     axes = figure.subplots(3, 1, sharex=True)
     keep = _thin(len(trajectory.t))
-    t, span = trajectory.t[keep], cell.q_max - cell.q_min
+    t, low, high = trajectory.t[keep], cell.q_min, cell.q_max
+    # An endless table has no range; its position is drawn as a share of one turn.
+    endless = ~np.isfinite(high - low)
+    low, span = np.where(endless, 0.0, low), np.where(endless, 2 * np.pi, high - low)
     curves = (
-        ("position in its range [%]", 100 * (trajectory.q[keep] - cell.q_min) / span, (0, 100)),
+        ("position in its range [%]", 100 * (trajectory.q[keep] - low) / span, (0, 100)),
         ("speed [% of limit]", 100 * trajectory.qd[keep] / cell.v_max, (-100, 100)),
         ("acceleration [% of limit]", 100 * trajectory.qdd[keep] / cell.a_max, (-100, 100)),
     )

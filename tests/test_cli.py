@@ -1,0 +1,196 @@
+"""The command line: help, statuses, files, and what a user sees."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from scanmotion.cli import app
+from scanmotion.cli.planning import finding_line, passes, summary_rows
+
+COMMANDS = (
+    "plan", "verify", "show", "export", "holes", "viewpoints", "reach", "robots", "fuse", "compare",
+    "cell init",
+    "cell check",
+)  # fmt: skip
+HEAVY = ("open3d", "pydrake", "matplotlib", "numba", "scipy", "numpy", "ompl", "pydantic")
+
+
+def run(*args):
+    return CliRunner().invoke(app, [str(a) for a in args])
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_an_example(command):
+    result = run(*command.split(), "--help")
+    assert result.exit_code == 0
+    assert f"Example: scanmotion {command}" in " ".join(result.output.split())
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\nfrom scanmotion.cli import app\n"
+        "try:\n    app(['--help'])\nexcept SystemExit:\n    pass\n"
+        f"print([m for m in {HEAVY!r} if m in sys.modules], file=sys.stderr)"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stderr.strip() == "[]"
+
+
+def test_version():
+    import scanmotion
+
+    assert run("--version").output.split() == ["scanmotion", scanmotion.__version__]
+
+
+def test_no_command_shows_help():
+    result = run()
+    assert result.exit_code == 2
+    assert "Usage" in result.output
+
+
+def test_robots_lists_the_builtin_cells_with_their_sources():
+    from scanmotion.cell.config import builtin_cells
+
+    rows = json.loads(run("robots", "--json").output)
+    assert [row["name"] for row in rows] == list(builtin_cells())
+    assert all(row["source"] for row in rows)
+    lines = run("robots").output.splitlines()
+    assert len(lines) == len(rows) + 1
+
+
+def test_cell_init_writes_what_cell_check_accepts(tmp_path):
+    file = tmp_path / "my.yaml"
+    assert run("cell", "init", file).exit_code == 0
+    checked = run("cell", "check", file)
+    assert checked.exit_code == 0, checked.output
+    assert len(checked.output.splitlines()) == 1 + 7
+
+    from scanmotion.cell.config import load_cell
+
+    mine, builtin = load_cell(file), load_cell("kr240")
+    assert mine.model_dump() == builtin.model_dump()
+
+
+def test_cell_init_overwrites_nothing(tmp_path):
+    file = tmp_path / "my.yaml"
+    file.write_text("mine")
+    assert run("cell", "init", file).exit_code == 2
+    assert file.read_text() == "mine"
+
+
+def test_viewpoints_of_the_papers_worked_example():
+    result = run("viewpoints", "--box", 330, 200, 600, "--mode", "paper", "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.output)
+    places = {v["id"]: np.array(v["X_OS"])[:3, 3] * 1e3 for v in found["viewpoints"]}
+    expected = [(771.218, 0, 950), (865, 0, 300), (865, 0, 0)]
+    for place in expected:
+        assert min(np.abs(p - place).max() for p in places.values()) < 1.0, places
+    # VPn looks from below the table's top and is left out with a reason.
+    assert found["dropped"]
+
+
+def test_viewpoints_are_written_and_read_back(tmp_path):
+    for name in ("views.csv", "views.json"):
+        out = tmp_path / name
+        assert run("viewpoints", "--box", 330, 200, 600, "--out", out).exit_code == 0
+        assert out.stat().st_size > 100
+
+
+def test_holes_of_a_sheet_with_a_square_cut_out(tmp_path, rng):
+    points = rng.random((40_000, 2)) * 200 - 100
+    inside = (np.abs(points) < 25).all(axis=1)
+    file = tmp_path / "sheet.xyz"
+    sheet = points[~inside]
+    # Slightly curved: an exact plane has no side.
+    np.savetxt(file, np.column_stack([sheet, 0.001 * (sheet**2).sum(axis=1)]), fmt="%.4f")
+    result = run("holes", file, "--json")
+    assert result.exit_code == 0, result.output
+    holes = json.loads(result.output)["holes"]
+    near = [h for h in holes if np.hypot(*h["center_mm"][:2]) < 10 and max(h["extent_mm"]) < 80]
+    assert len(near) == 1
+    assert near[0]["extent_mm"][0] == pytest.approx(50, abs=6)
+    assert near[0]["extent_mm"][1] == pytest.approx(50, abs=6)
+
+
+def test_reach_gives_configurations_or_a_cause():
+    result = run("reach", "--box", 330, 200, 600, "--json")
+    assert result.exit_code == 0, result.output
+    for item in json.loads(result.output):
+        assert (item["configurations"] > 0) == (item["unreachable"] is None)
+
+
+SUMMARY = {
+    "viewpoints": {"global": 2, "local": 5, "unreachable": [{"id": "L1", "reason": "too far"}]},
+    "completeness": {"after_global": 0.91, "final": 0.9995, "final_of_whole": 0.95},
+    "accuracy": {"mean_abs_mm": 0.08, "sd_signed_mm": None, "mean_signed_mm": 0.0},
+    "time_s": {"total": 70.0, "arm": 40.0, "table": 16.0, "sweep": 10.0, "dwell": 4.0, "floor": 66.0},
+    "budget": {"limit_s": 152.0, "ok": True},
+    "findings": [],
+    "planning_s": {"total": 9.0},
+}
+
+
+def test_final_table_says_everything():
+    text = dict(summary_rows(SUMMARY))
+    assert text["completeness"].startswith("99.95%")
+    assert "152" in text["time"] and "70.0 s" in text["time"]
+    assert text["of which [s]"] == "arm 40.0, table 16.0, sweep 10.0, dwell 4.0"
+    assert "1 left out" in text["viewpoints"]
+    assert "not known" in text["accuracy"]
+
+
+def test_a_plan_passes_only_without_findings_and_in_time():
+    assert passes(SUMMARY)
+    assert not passes(SUMMARY | {"findings": ["too fast"]})
+    assert not passes(SUMMARY | {"budget": {"limit_s": 10.0, "ok": False}})
+
+
+def test_findings_read_as_lines():
+    assert finding_line("A2 too fast") == "A2 too fast"
+    assert finding_line({"kind": "speed", "value": 3}) == "kind speed, value 3"
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    from scanmotion.cli.looking import write_text
+
+    file = tmp_path / "scene.html"
+    write_text(file, "old")
+
+    def broken(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", broken)
+    with pytest.raises(KeyboardInterrupt):
+        write_text(file, "new")
+    assert file.read_text() == "old"
+    assert os.listdir(tmp_path) == ["scene.html"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
+def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path):
+    out = tmp_path / "plan"
+    # Waits inside the pipeline until the signal arrives.
+    code = (
+        "import time, scanmotion.cli.planning as p\n"
+        "def part(*a, **k):\n    print('ready', flush=True)\n    time.sleep(60)\n"
+        "p.part_and_source = part\n"
+        "from scanmotion.cli import main\n"
+        "main()"
+    )
+    command = [sys.executable, "-c", code, "plan", "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline().strip() == "ready"
+    time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert not out.exists()
