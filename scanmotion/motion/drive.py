@@ -4,7 +4,7 @@ import numpy as np
 
 from scanmotion.cell.kinematics import scanner_poses, tcp_jacobian
 from scanmotion.cell.plant import Cell
-from scanmotion.motion.scale import Derivatives, Limits, floor_seconds, parameter_grid
+from scanmotion.motion.profile import Derivatives, Limits, floor_seconds, parameter_grid
 from scanmotion.motion.spline import JointSpline, spline_beside, subdivided
 
 
@@ -31,9 +31,12 @@ def transit_spline(cell: Cell, q: np.ndarray) -> JointSpline:
 def derivatives_on(cell: Cell, path: JointSpline, *, spacing: float = 1.0) -> Derivatives:
     """Derivatives of `path` on its grid; a `spacing` above 1 makes the grid coarser."""
     s = parameter_grid(path, spacing=spacing)
-    q1 = path(s, 1)
-    p1 = np.einsum("nij,nj->ni", tcp_jacobian(cell, path(s))[:, 3:], q1)
-    return Derivatives(s=s, q1=q1, q2=path(s, 2), q3=path(s, 3), p1=p1)
+
+    def tcp(s: np.ndarray) -> np.ndarray:
+        J = tcp_jacobian(cell, path(s))[:, 3:]
+        return np.linalg.norm(np.einsum("nij,nj->ni", J, path(s, 1)), axis=1)
+
+    return Derivatives(s=s, q1=path(s, 1), q2=path(s, 2), q3=path(s, 3), tcp=tcp)
 
 
 def seconds_along(cell: Cell, q: np.ndarray) -> float:

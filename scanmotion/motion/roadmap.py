@@ -1,6 +1,7 @@
 """Planning round obstacles: OMPL's RRT-Connect (Kuffner and LaValle 2000), the same path for a seed."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from ompl import base, geometric, util
@@ -47,11 +48,11 @@ def plan_round(
     info = base.SpaceInformation(space)
     checks = 0
 
-    def joints(state: base.State) -> np.ndarray:
+    def joints(state: Any) -> np.ndarray:
         return np.array([state[k] for k in range(n)]) / scale
 
     class Edges(base.MotionValidator):
-        def checkMotion(self, a: base.State, b: base.State, *_: object) -> bool:
+        def checkMotion(self, a: Any, b: Any, *_: Any) -> bool:
             nonlocal checks
             checks += 1
             return bool(edge_free(joints(a), joints(b)))
@@ -61,7 +62,8 @@ def plan_round(
     info.setMotionValidator(edges)
     info.setup()
     problem = base.ProblemDefinition(info)
-    start, goal = space.allocState(), space.allocState()
+    start: Any = space.allocState()
+    goal: Any = space.allocState()
     for k in range(n):
         start[k], goal[k] = float(ends[0][k] * scale[k]), float(ends[1][k] * scale[k])
     problem.setStartAndGoalStates(start, goal)

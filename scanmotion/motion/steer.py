@@ -11,7 +11,8 @@ import numpy as np
 from scanmotion.cell.kinematics import tcp_jacobian
 from scanmotion.cell.plant import Cell
 from scanmotion.motion.drive import positions, transit_limits
-from scanmotion.motion.scale import Limits, ruckig_law
+from scanmotion.motion.profile import Limits
+from scanmotion.motion.scale import ruckig_law
 from scanmotion.motion.spline import STEP_M, STEP_RAD
 from scanmotion.motion.tour import PathMethod
 

@@ -14,7 +14,8 @@ from scanmotion.cell.kinematics import scanner_in_object
 from scanmotion.cell.plant import Cell
 from scanmotion.errors import TimingError
 from scanmotion.motion.drive import derivatives_on, limits_of, transit_limits, transit_spline
-from scanmotion.motion.scale import MARGIN, fastest_law, parameter_grid, ruckig_law
+from scanmotion.motion.profile import MARGIN, parameter_grid
+from scanmotion.motion.scale import fastest_law, ruckig_law
 from scanmotion.motion.spline import JointSpline, spline_beside, spline_through
 from scanmotion.motion.tour import Path, Stop, Tour
 from scanmotion.trajectory import Operation, OperationKind, Trajectory
