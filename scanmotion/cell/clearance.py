@@ -1,0 +1,128 @@
+"""Distances and collision checks of configurations and edges, in two tiers.
+
+Fast tier: filter.py, conservative. Exact tier: Drake's checker for arm, tool, table and surroundings, and FCL
+on the part's true triangles. What the fast tier calls free is free; what it refuses may be free after all.
+"""
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from scanmotion.cell.filter import box_of, edge_free, edges_free, filter_from, margins
+from scanmotion.cell.kinematics import link_poses, object_poses
+from scanmotion.cell.plant import TOOL, Cell
+
+PAD_M = 0.004
+"""Half of the least step along an edge; the fast tier keeps this much more than the clearances [m]."""
+
+
+class Clearance:
+    """The checker of one cell; it belongs to one thread.
+
+    Args:
+        cell: the cell, with the part that the arm must not touch.
+        clearance: least distance to part and surroundings; default: of the cell [m].
+    """
+
+    def __init__(self, cell: Cell, *, clearance: float | None = None) -> None:
+        self.cell = cell
+        self.clearance = cell.settings.process.clearance_m if clearance is None else clearance
+        self.self_clearance = cell.settings.process.self_clearance_m
+        self.filter = filter_from(cell, self.clearance + PAD_M, self.self_clearance + PAD_M)
+        f = self.filter
+        self._arrays = (f.chain, f.spheres, f.boxes, f.world, f.grid)
+
+    def margins(self, q: np.ndarray, *, enough: float = 0.5) -> np.ndarray:
+        """Lower bounds of the distance beyond clearances and pad, (n,) [m]; only signs where negative."""
+        return margins(_rows(q), *self._arrays, enough)
+
+    def fast_free(self, q: np.ndarray) -> np.ndarray:
+        """Whether the fast tier calls each row of q (n, 7) free."""
+        return self.margins(q, enough=1e-6) >= 0.0
+
+    def free(self, q: np.ndarray) -> np.ndarray:
+        """Whether each row of q (n, 7) keeps all clearances, shape (n,)."""
+        q = _rows(q)
+        free = self.fast_free(q)
+        doubtful = np.flatnonzero(~free)
+        doubtful = doubtful[self.cell.drake.free(q[doubtful])]
+        if self._part is not None:
+            distance = np.array([self._part_distance(row)[0] for row in q[doubtful]])
+            doubtful = doubtful[distance >= self.clearance] if len(doubtful) else doubtful
+        free[doubtful] = True
+        return free
+
+    def edges_free(self, qa: np.ndarray, qb: np.ndarray) -> np.ndarray:
+        """Whether each straight joint edge between rows of qa and qb (n, 7) keeps the clearances all along.
+
+        Steps are bounded in metres at the farthest point of arm and part, so that a free edge is a promise.
+        """
+        return edges_free(_rows(qa), _rows(qb), *self._arrays, self.filter.reach, PAD_M)
+
+    def path_free(self, q: np.ndarray) -> tuple[bool, int, tuple[str, str]]:
+        """Whether the polyline q (k, 7) is free; else the first blocked edge and the pair that blocks it."""
+        q = _rows(q)
+        for i in range(max(len(q) - 1, 1)):
+            j = min(i + 1, len(q) - 1)
+            ok, t = edge_free(q[i], q[j], *self._arrays, self.filter.reach, PAD_M)
+            if not ok:
+                return False, i, self.distance(q[i] + t * (q[j] - q[i]))[1]
+        return True, -1, ("", "")
+
+    def distance(self, q: np.ndarray) -> tuple[float, tuple[str, str]]:
+        """Least exact distance of one configuration (7,) [m] and the two bodies; negative in collision.
+
+        Distances between links count beyond their smaller clearance, so that the least is the worst.
+        """
+        q = np.asarray(q, dtype=float)
+        nearest = self.cell.drake.nearest(q)
+        if self._part is None:
+            return nearest
+        d, name = self._part_distance(q)
+        return (d, (name, self.cell.part.name if self.cell.part else "part")) if d < nearest[0] else nearest
+
+    @cached_property
+    def _part(self) -> Any:
+        """The part's triangles as an FCL object, and the robot's bodies; None without a part."""
+        part = self.cell.part
+        if part is None or not part.is_mesh:
+            return None
+        import fcl
+
+        model = fcl.BVHModel()
+        model.beginModel(len(part.vertices), len(part.triangles))
+        model.addSubModel(np.ascontiguousarray(part.vertices), np.ascontiguousarray(part.triangles))
+        model.endModel()
+        bodies = [b for b in self.cell.bodies if 2 <= b.link <= TOOL]
+        shapes = [fcl.CollisionObject(fcl.Box(*(2 * box_of(b))), fcl.Transform()) for b in bodies]
+        return fcl.CollisionObject(model, fcl.Transform()), bodies, shapes
+
+    def _part_distance(self, q: np.ndarray) -> tuple[float, str]:
+        """Exact distance between robot and part, and the robot's body; -0.001 where they touch."""
+        import fcl
+
+        obj, bodies, shapes = self._part
+        X_WO = object_poses(self.cell, q)[0]
+        obj.setTransform(fcl.Transform(X_WO[:3, :3], X_WO[:3, 3]))
+        links = link_poses(self.cell, q)[0]
+        flange = links[6] @ self.cell.robot.X_6F
+        centre = X_WO[:3, :3] @ self.cell.part.bounds.mean(axis=0) + X_WO[:3, 3]
+        radius = float(np.linalg.norm(self.cell.part.extent)) / 2
+        best, name = 1e3, ""
+        for body, shape in zip(bodies, shapes, strict=True):
+            X = (flange if body.link == TOOL else links[body.link]) @ body.X_LG
+            if np.linalg.norm(X[:3, 3] - centre) - radius - np.linalg.norm(box_of(body)) > min(best, 1.0):
+                continue
+            shape.setTransform(fcl.Transform(X[:3, :3], X[:3, 3]))
+            if fcl.collide(obj, shape, fcl.CollisionRequest(), fcl.CollisionResult()):
+                return -1e-3, body.name
+            result = fcl.DistanceResult()
+            d = fcl.distance(obj, shape, fcl.DistanceRequest(), result)
+            if d < best:
+                best, name = d, body.name
+        return best, name
+
+
+def _rows(q: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(np.atleast_2d(np.asarray(q, dtype=float)))

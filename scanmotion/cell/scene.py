@@ -1,0 +1,179 @@
+"""The cell as a Drake MultibodyPlant, put together by model directives, with its collision checker."""
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelDirectives
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
+
+from scanmotion.cell.robot import Body
+
+if TYPE_CHECKING:
+    from scanmotion.cell.plant import Cell
+
+_COLOURS = {"scanner": "0.15 0.16 0.18 1", "table": "0.72 0.73 0.75 1", "floor": "0.93 0.93 0.92 1"}
+_GREY = "0.45 0.46 0.48 1"
+
+
+def _urdf_of(name: str, bodies: list[Body], *, mass: float, collide: bool) -> str:
+    """One rigid link that carries `bodies`, as URDF text."""
+    inertia = " ".join(f'{k}="{0.01 * mass if k in ("ixx", "iyy", "izz") else 0}"' for k in _INERTIA)
+    out = [f'<robot name="{name}"><link name="{name}">']
+    out += [f'<inertial><mass value="{mass}"/><inertia {inertia}/></inertial>']
+    for body in bodies:
+        rpy = RollPitchYaw(RigidTransform(body.X_LG).rotation()).vector()
+        origin = f'<origin xyz="{_text(body.X_LG[:3, 3])}" rpy="{_text(rpy)}"/>'
+        if body.shape == "box":
+            shape = f'<geometry><box size="{_text(body.size)}"/></geometry>'
+        else:
+            shape = f'<geometry><cylinder radius="{body.size[0]!r}" length="{body.size[1]!r}"/></geometry>'
+        colour = _COLOURS.get(body.name, _GREY)
+        paint = f'<material name="{body.name}"><color rgba="{colour}"/></material>'
+        out.append(f"<visual>{origin}{shape}{paint}</visual>")
+        if collide:
+            out.append(f'<collision name="{body.name}">{origin}{shape}</collision>')
+    return "".join([*out, "</link></robot>"])
+
+
+_INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+
+
+def _text(values: Any) -> str:
+    return " ".join(f"{float(v):.12g}" for v in values)
+
+
+def _pose_yaml(X: np.ndarray) -> str:
+    rpy = np.rad2deg(RollPitchYaw(RigidTransform(X).rotation()).vector())
+    numbers = ", ".join(f"{v:.12g}" for v in X[:3, 3]), ", ".join(f"{v:.12g}" for v in rpy)
+    return f"{{translation: [{numbers[0]}], rotation: !Rpy {{deg: [{numbers[1]}]}}}}"
+
+
+def write_models(cell: "Cell", folder: Path) -> Path:
+    """Writes tool, turntable and surroundings as URDF and the directives that weld them; returns the latter.
+
+    The table's solids stand in the world, where their turning does not matter; what turns with E1 carries
+    the part.
+    """
+    from scanmotion.cell.plant import TABLE, TOOL, WORLD
+
+    of = {k: [b for b in cell.bodies if b.link == k] for k in (TOOL, TABLE, WORLD)}
+    mass = cell.settings.tool.mass_kg
+    (folder / "tool.urdf").write_text(_urdf_of("tool", of[TOOL], mass=mass, collide=True))
+    (folder / "stand.urdf").write_text(_urdf_of("stand", of[TABLE], mass=1.0, collide=True))
+    (folder / "surroundings.urdf").write_text(_urdf_of("surroundings", of[WORLD], mass=1.0, collide=True))
+    joint = (
+        '<robot name="turntable"><link name="turntable_base"/><link name="turntable">'
+        '<inertial><mass value="100"/>'
+        '<inertia ixx="30" iyy="30" izz="30" ixy="0" ixz="0" iyz="0"/></inertial>'
+        '</link><joint name="E1" type="continuous"><parent link="turntable_base"/><child link="turntable"/>'
+        '<axis xyz="0 0 1"/></joint></robot>'
+    )
+    (folder / "turntable.urdf").write_text(joint)
+    lines = ["directives:"]
+    for name, file in (
+        ("arm", cell.urdf_path.resolve().as_uri()),
+        ("tool", (folder / "tool.urdf").as_uri()),
+        ("turntable", (folder / "turntable.urdf").as_uri()),
+        ("stand", (folder / "stand.urdf").as_uri()),
+        ("surroundings", (folder / "surroundings.urdf").as_uri()),
+    ):
+        lines.append(f"- add_model: {{name: {name}, file: '{file}'}}")
+    base = _base_link(cell)
+    for parent, child, X in (
+        ("world", f"arm::{base}", cell.X_WB),
+        (f"arm::{cell.settings.robot.flange}", "tool::tool", np.eye(4)),
+        ("world", "turntable::turntable_base", cell.X_WT),
+        ("world", "stand::stand", cell.X_WT),
+        ("world", "surroundings::surroundings", np.eye(4)),
+    ):
+        lines.append(f"- add_weld: {{parent: '{parent}', child: '{child}', X_PC: {_pose_yaml(X)}}}")
+    path = folder / "cell.dmd.yaml"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def _base_link(cell: "Cell") -> str:
+    from defusedxml.ElementTree import fromstring
+
+    root = fromstring(cell.urdf_path.read_text(encoding="utf-8"))
+    children = {j.find("child").get("link") for j in root.iter("joint")}
+    parents = [j.find("parent").get("link") for j in root.iter("joint")]
+    return next(p for p in parents if p not in children)
+
+
+def add_cell(plant: MultibodyPlant, cell: "Cell") -> dict[str, Any]:
+    """Parses the cell into `plant` (not finalized); returns model instances by name."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_models(cell, Path(folder))
+        added = ProcessModelDirectives(LoadModelDirectives(str(path)), plant, Parser(plant))
+    return {info.model_name: info.model_instance for info in added}
+
+
+class DrakeCell:
+    """Plant and collision checker of a cell; the part's true triangles are judged elsewhere.
+
+    Drake takes a mesh as its convex hull in every proximity query, so the part is not among the solids here.
+    One instance belongs to one thread.
+    """
+
+    def __init__(self, cell: "Cell") -> None:
+        builder = RobotDiagramBuilder(time_step=0.0)
+        instances = add_cell(builder.plant(), cell)
+        builder.plant().Finalize()
+        process = cell.settings.process
+        self.checker = SceneGraphCollisionChecker(
+            model=builder.Build(),
+            robot_model_instances=[instances["arm"], instances["tool"]],
+            edge_step_size=0.05,
+            env_collision_padding=process.clearance_m,
+            self_collision_padding=process.self_clearance_m,
+        )
+        self.plant = self.checker.plant()
+        self._order = self._joint_order(cell)
+        self._filter(cell)
+
+    def _joint_order(self, cell: "Cell") -> np.ndarray:
+        """Index of each of A1..A6, E1 in the plant's position vector."""
+        names = [*cell.settings.robot.joints, "E1"]
+        return np.array([self.plant.GetJointByName(n).position_start() for n in names])
+
+    def _filter(self, cell: "Cell") -> None:
+        """Links that touch by construction are not judged against one another."""
+        from scanmotion.cell.filter import IGNORED_PAIRS
+
+        joints = [self.plant.GetJointByName(n) for n in cell.settings.robot.joints]
+        bodies = [
+            joints[0].parent_body(),
+            *(j.child_body() for j in joints),
+            self.plant.GetBodyByName("tool"),
+        ]
+        for a, b in sorted(IGNORED_PAIRS):
+            self.checker.SetCollisionFilteredBetween(bodies[a], bodies[b], True)
+        floor = self.plant.GetBodyByName("surroundings")
+        for body in bodies[:2]:
+            self.checker.SetCollisionFilteredBetween(body, floor, True)
+
+    def positions(self, q: np.ndarray) -> np.ndarray:
+        """The plant's positions for configurations (n, 7)."""
+        out = np.zeros((len(q), self.plant.num_positions()))
+        out[:, self._order] = q
+        return out
+
+    def free(self, q: np.ndarray) -> np.ndarray:
+        """Whether arm and tool keep their clearances to everything but the part, shape (n,)."""
+        if len(q) == 0:
+            return np.zeros(0, bool)
+        return np.array(self.checker.CheckConfigsCollisionFree(list(self.positions(q))), dtype=bool)
+
+    def nearest(self, q: np.ndarray) -> tuple[float, tuple[str, str]]:
+        """Least distance [m] and the two bodies of one configuration (7,); the part is not among them."""
+        found = self.checker.CalcRobotClearance(self.positions(q[None])[0], 1.0)
+        if found.size() == 0:
+            return 1.0, ("", "")
+        i = int(np.argmin(found.distances()))
+        names = [self.plant.get_body(k[i]).name() for k in (found.robot_indices(), found.other_indices())]
+        return float(found.distances()[i]), (names[0], names[1])
