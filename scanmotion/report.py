@@ -9,6 +9,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 from scanmotion import __version__
+from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.figures.charts import joint_figure, tcp_figure, time_figure
 from scanmotion.figures.maps import cell_figure, coverage_figure, hole_figure, reach_figure
 
@@ -187,8 +188,6 @@ def _viewpoints(plan: Any, summary: dict[str, Any]) -> str:
 def _motion(plan: Any, summary: dict[str, Any]) -> str:
     if plan.trajectory is None:
         return _section("Motion", "<p>No viewpoint could be served.</p>")
-    from scanmotion.cell.kinematics import scanner_poses
-
     trajectory, process = plan.trajectory, plan.cell.settings.process
     X_WS = scanner_poses(plan.cell, trajectory.q)
     rows = [

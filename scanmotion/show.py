@@ -4,14 +4,17 @@ Nothing listens beyond the loopback device, and the page loads nothing from anyw
 """
 
 import json
-from collections.abc import Iterator
 from html import escape
 from typing import Any
 
 import numpy as np
 from pydrake.geometry import Meshcat, MeshcatAnimation, MeshcatParams, Rgba, Role
 from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.framework import DiagramBuilder
 
+from scanmotion.cell.kinematics import object_poses, scanner_poses
+from scanmotion.cell.scene import add_cell
 from scanmotion.figures import palette
 from scanmotion.figures.shapes import (
     Mesh,
@@ -47,13 +50,16 @@ def live_scene(plan: Any) -> Meshcat:
     meshcat.SetProperty("/Background", "bottom_color", [1.0, 1.0, 1.0])
     meshcat.SetProperty("/Grid", "visible", False)
     meshcat.SetProperty("/Axes", "visible", False)
-    _cell(meshcat, plan)
+    bodies = _cell(meshcat, plan)
     _part(meshcat, plan)
     _scanner(meshcat, plan)
     _frames(meshcat, plan)
-    if plan.trajectory is not None:
+    if plan.trajectory is None:
+        for path, X in bodies.poses(plan.cell.home[None]).items():
+            meshcat.SetTransform(path, _pose(X[0]))
+    else:
         _path(meshcat, plan)
-        _record(meshcat, plan)
+        _record(meshcat, plan, bodies)
     table = plan.cell.X_WT[:3, 3]
     meshcat.SetCameraPose(table + [0.7, -2.5, 1.5], table + [-0.8, 0.0, 0.5])
     return meshcat
@@ -73,28 +79,53 @@ def _mesh(meshcat: Meshcat, path: str, mesh: Mesh, colour: str, alpha: float = 1
     meshcat.SetTriangleMesh(path, _columns(mesh[0]), _columns(mesh[1], np.int32), rgba)
 
 
-def _bodies(cell: Any) -> Iterator[tuple[str, list[tuple[Any, RigidTransform, Rgba]]]]:
-    """Name of each body that is drawn, and its shapes; the part is drawn elsewhere."""
-    inspector = cell.scene_graph.model_inspector()
-    for frame in inspector.GetAllFrameIds():
-        body = cell.plant.GetBodyFromFrameId(frame)
-        shapes = []
-        for geometry in inspector.GetGeometries(frame, Role.kIllustration):
-            if "part" in inspector.GetName(geometry).split("::"):
-                continue
-            properties = inspector.GetIllustrationProperties(geometry)
-            colour = properties.GetPropertyOrDefault("phong", "diffuse", Rgba(0.7, 0.7, 0.7, 1.0))
-            shapes.append((inspector.GetShape(geometry), inspector.GetPoseInFrame(geometry), colour))
-        if shapes:
-            yield body.name(), shapes
+class _Bodies:
+    """The cell's bodies as Drake parses them, for drawing."""
+
+    def __init__(self, cell: Any) -> None:
+        builder = DiagramBuilder()
+        self.plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
+        add_cell(self.plant, cell)
+        self.plant.Finalize()
+        self._diagram = builder.Build()  # keeps plant and scene graph alive
+        joints = (self.plant.GetJointByName(name) for name in cell.joint_names)
+        self._order = [joint.position_start() for joint in joints]
+        self.shapes: dict[str, list[tuple[Any, RigidTransform, Rgba]]] = {}
+        inspector = scene_graph.model_inspector()
+        for frame in inspector.GetAllFrameIds():
+            name = self.plant.GetBodyFromFrameId(frame).name()
+            for geometry in inspector.GetGeometries(frame, Role.kIllustration):
+                paint = inspector.GetIllustrationProperties(geometry)
+                colour = paint.GetPropertyOrDefault("phong", "diffuse", Rgba(0.7, 0.7, 0.7, 1.0))
+                found = (inspector.GetShape(geometry), inspector.GetPoseInFrame(geometry), colour)
+                self.shapes.setdefault(name, []).append(found)
+
+    def poses(self, q: np.ndarray) -> dict[str, np.ndarray]:
+        """Pose in W of each body that is drawn, by its path, shape (n, 4, 4)."""
+        context = self.plant.CreateDefaultContext()
+        bodies = {name: self.plant.GetBodyByName(name) for name in self.shapes}
+        poses = {f"cell/{name}": np.zeros((len(q), 4, 4)) for name in bodies}
+        positions = np.zeros(self.plant.num_positions())
+        for i, values in enumerate(q):
+            positions[self._order] = values
+            self.plant.SetPositions(context, positions)
+            for name, body in bodies.items():
+                poses[f"cell/{name}"][i] = self.plant.EvalBodyPoseInWorld(context, body).GetAsMatrix4()
+        return poses
 
 
-def _cell(meshcat: Meshcat, plan: Any) -> None:
-    for name, shapes in _bodies(plan.cell):
+def _cell(meshcat: Meshcat, plan: Any) -> _Bodies:
+    bodies = _Bodies(plan.cell)
+    for name, shapes in bodies.shapes.items():
         for number, (shape, X, colour) in enumerate(shapes):
             path = f"cell/{name}/{number}"
             meshcat.SetObject(path, shape, colour)
             meshcat.SetTransform(path, X)
+    # A round table does not show that it turns: a mark on its rim does.
+    radius = plan.cell.settings.turntable.diameter_m / 2
+    mark = np.array([[0.85 * radius, 0.0, 0.002], [radius, 0.0, 0.002]]) - plan.cell.X_TO[:3, 3]
+    _mesh(meshcat, "part/table_mark", tube(mark, 0.008), "#c8102e")
+    return bodies
 
 
 def _part(meshcat: Meshcat, plan: Any) -> None:
@@ -188,8 +219,6 @@ def _frames(meshcat: Meshcat, plan: Any) -> None:
 
 def _path(meshcat: Meshcat, plan: Any) -> None:
     """The way of the scanner's optical centre, one colour for each kind of operation."""
-    from scanmotion.cell.kinematics import scanner_poses
-
     trajectory = plan.trajectory
     for o in trajectory.operations:
         inside = np.flatnonzero((trajectory.t >= o.t_start) & (trajectory.t <= o.t_end))
@@ -210,13 +239,11 @@ def frame_times(trajectory: Any, fps: float = FRAMES_PER_SECOND) -> np.ndarray:
     return np.unique(np.clip(index, 0, len(t) - 1))
 
 
-def _record(meshcat: Meshcat, plan: Any) -> None:
-    from scanmotion.cell.kinematics import object_poses, scanner_poses
-
+def _record(meshcat: Meshcat, plan: Any, bodies: _Bodies) -> None:
     cell, trajectory = plan.cell, plan.trajectory
     index = frame_times(trajectory)
     t, q = trajectory.t[index], trajectory.q[index]
-    poses = _body_poses(cell, q)
+    poses = bodies.poses(q)
     poses["scanner"], poses["part"] = scanner_poses(cell, q), object_poses(cell, q)
     scanning = np.zeros(len(t), bool)
     for o in trajectory.operations:
@@ -235,19 +262,6 @@ def _record(meshcat: Meshcat, plan: Any) -> None:
     for path, X in poses.items():
         meshcat.SetTransform(path, _pose(X[0]))
     meshcat.SetProperty("scanner/field", "visible", bool(scanning[0]))
-
-
-def _body_poses(cell: Any, q: np.ndarray) -> dict[str, np.ndarray]:
-    """Pose in W of each body that is drawn, by its path, shape (n, 4, 4)."""
-    plant, context = cell.plant, cell.plant.CreateDefaultContext()
-    names = [name for name, _ in _bodies(cell)]
-    poses = {f"cell/{name}": np.zeros((len(q), 4, 4)) for name in names}
-    for i, positions in enumerate(q):
-        plant.SetPositions(context, positions)
-        for name in names:
-            X = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName(name))
-            poses[f"cell/{name}"][i] = X.GetAsMatrix4()
-    return poses
 
 
 def _changes(values: np.ndarray) -> np.ndarray:
@@ -315,9 +329,8 @@ def _with_overlay(page: str, plan: Any) -> str:
         "title": escape(plan.part.name),
         "numbers": escape(numbers),
         "legend": f"<div>{legend}</div><div>axes: red x, green y, blue z</div>",
-        # "</" would end the script element early, whatever a name may hold.
-        "seconds": f"{time:.2f}",
-        "steps": json.dumps(steps).replace("</", "<\\/"),
+        # A "<" in a name must not be able to end or open a script element.
+        "steps": json.dumps(steps).replace("<", "\\u003c"),
     }
     head, end, tail = page.rpartition("</body>")
     return head.replace("<title>Drake MeshCat</title>", "<title>scanmotion</title>") + overlay + end + tail

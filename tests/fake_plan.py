@@ -8,8 +8,6 @@ from scanmotion.part import box_part, surface_samples
 from scanmotion.trajectory import Operation, Trajectory
 from scanmotion.viewpoints.viewpoint import Viewpoint, look_at
 
-HOME = np.deg2rad([0.0, -90.0, 90.0, 0.0, 0.0, 0.0, 0.0])
-
 
 def smooth(share):
     """Quintic blend from 0 to 1 with its first two derivatives."""
@@ -68,31 +66,12 @@ def fake_hole(kind="common"):
     )
 
 
-def fake_cell():
-    settings = SimpleNamespace(
-        turntable=SimpleNamespace(diameter_m=1.52),
-        process=SimpleNamespace(scan_speed_m_s=0.1, transit_speed_m_s=0.1, budget_s=152.0),
-        model_dump=lambda **_: {"process": {"budget_s": 152.0}, "turntable": {"diameter_m": 1.52}},
-    )
-    X_WT = np.eye(4)
-    X_WT[:3, 3] = 2.2, 0.0, 0.7
-    return SimpleNamespace(
-        settings=settings,
-        X_WB=np.eye(4),
-        X_WT=X_WT,
-        X_TO=np.eye(4),
-        joint_names=("A1", "A2", "A3", "A4", "A5", "A6", "E1"),
-        q_min=np.deg2rad([-185, -120, -100, -350, -120, -350, -3600.0]),
-        q_max=np.deg2rad([185, 70, 170, 350, 120, 350, 3600.0]),
-        v_max=np.full(7, 2.0),
-        a_max=np.full(7, 5.0),
-        j_max=np.full(7, 50.0),
-        home=HOME,
-    )
+def fake_plan(cell):
+    """Two viewpoints are served, one is out of reach; the top is seen by the local one alone.
 
-
-def fake_plan():
-    """Two viewpoints are served, one is out of reach; the top is seen by the local one alone."""
+    Args:
+        cell: a Cell; its home is where the trajectory starts.
+    """
     part = box_part(0.2, 0.15, 0.4)
     samples = surface_samples(part, 4000, rng=np.random.default_rng(0))
     sides, top = np.abs(samples.normals[:, 2]) < 0.5, samples.normals[:, 2] > 0.5
@@ -119,11 +98,11 @@ def fake_plan():
             kind="station",
         ),
     )
-    a = HOME + np.deg2rad([10, 20, -10, 5, 20, 0, 0])
+    a = cell.home + np.deg2rad([10, 20, -10, 5, 20, 0, 0])
     b = a + np.array([0, 0, 0, 0, 0, 0, 2 * np.pi])
     c = b + np.deg2rad([5, -10, 5, 0, 10, 0, 0])
     trajectory = trajectory_through(
-        [HOME, a, b, c, c],
+        [cell.home, a, b, c, c],
         ["transit", "revolution", "transit", "dwell"],
         [3.0, 8.0, 2.0, 0.5],
         [("G1",), ("G1",), ("L1.1",), ("L1.1",)],
@@ -147,7 +126,7 @@ def fake_plan():
     }
     return SimpleNamespace(
         part=part,
-        cell=fake_cell(),
+        cell=cell,
         options=SimpleNamespace(seed=7, mode="default", strategy="two-step", source="mesh"),
         rounds=rounds,
         trajectory=trajectory,

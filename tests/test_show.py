@@ -1,0 +1,182 @@
+"""The scene: its shapes, its motion, its page in a real browser, and where it listens."""
+
+import copy
+import os
+import socket
+import struct
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from browser import screenshot
+from fake_plan import fake_plan
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import scanmotion.show as mut
+from scanmotion.cell.kinematics import flange_poses
+from scanmotion.figures import shapes
+from scanmotion.part import box_part, carving
+from scanmotion.scanner import Scanner
+
+
+@pytest.fixture(scope="module")
+def plan(kr240_cell):
+    return fake_plan(kr240_cell)
+
+
+@pytest.fixture(scope="module")
+def page(plan, tmp_path_factory):
+    file = tmp_path_factory.mktemp("scene") / "scene.html"
+    file.write_text(mut.scene_html(plan), encoding="utf-8")
+    return file
+
+
+def areas(mesh):
+    a, b, c = (mesh[0][mesh[1][:, i]] for i in range(3))
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+
+def test_a_tube_keeps_its_distance(rng):
+    t = np.linspace(0, 6, 80)
+    line = np.column_stack([np.cos(t), np.sin(t), 0.1 * t])
+    vertices, triangles = shapes.tube(line, 0.01)
+    nearest = np.linalg.norm(vertices[:, None] - line[None], axis=2).min(axis=1)
+    np.testing.assert_allclose(nearest, 0.01, atol=1e-9)
+    assert triangles.shape == (79 * 6, 3) and triangles.max() == len(vertices) - 1
+
+
+@given(st.lists(st.tuples(*[st.floats(-1, 1)] * 3), min_size=2, max_size=6))
+@settings(max_examples=50)
+def test_a_tube_is_finite_whatever_the_line(points):
+    vertices, _ = shapes.tube(np.array(points), 0.01)
+    assert np.isfinite(vertices).all()
+
+
+def test_a_label_has_the_asked_height():
+    vertices, triangles = shapes.label("H", 0.1)
+    assert np.ptp(vertices[:, 2]) == pytest.approx(0.1, rel=0.15)
+    assert np.abs(vertices[:, 1]).max() < 0.01 and len(triangles) > 0
+    wide = shapes.label("L12.3", 0.1)[0]
+    assert np.ptp(wide[:, 0]) > 3 * np.ptp(vertices[:, 0])
+
+
+@pytest.mark.parametrize("depth, sides", [(0.4, (0.2144, 0.1483)), (1.0, (0.5359, 0.3707))])
+def test_the_field_drawn_is_that_of_table_1(depth, sides):
+    edges = shapes.field_edges(Scanner(), 0.2, depth)
+    corners = edges.reshape(-1, 3)
+    far = corners[corners[:, 2] == depth]
+    np.testing.assert_allclose(np.ptp(far, axis=0)[:2], sides, atol=1e-4)
+    vertices, triangles = shapes.field_faces(Scanner(), depth)
+    np.testing.assert_allclose(np.ptp(vertices[1:, :2], axis=0), sides, atol=1e-4)
+    assert len(triangles) == 4
+
+
+def test_a_part_is_cut_fine_without_changing_its_surface():
+    part = box_part(0.3, 0.2, 0.1)
+    mesh = shapes.paintable(part, edge=0.01, most=50_000)
+    assert len(mesh[1]) <= 50_000
+    assert areas(mesh).sum() == pytest.approx(2 * (0.06 + 0.03 + 0.02), rel=1e-12)
+    corners = mesh[0][mesh[1]]
+    assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max() <= 0.01 + 1e-12
+    normals = shapes.vertex_normals(mesh)
+    np.testing.assert_allclose(np.abs(normals).max(axis=1), 1.0)
+
+
+def test_a_fine_part_is_thinned():
+    part = carving()
+    mesh = shapes.paintable(part, most=5000)
+    assert 2000 < len(mesh[1]) <= 5000
+    full = areas((part.vertices, part.triangles)).sum()
+    assert areas(mesh).sum() == pytest.approx(full, rel=0.05)
+
+
+def test_the_arm_drawn_stands_where_kinematics_says(kr240_cell, rng):
+    cell = kr240_cell
+    low, high = np.maximum(cell.q_min, -4), np.minimum(cell.q_max, 4)
+    q = rng.uniform(low, high, size=(20, 7))
+    bodies = mut._Bodies(cell)
+    drawn = bodies.poses(q)["cell/tool"]
+    np.testing.assert_allclose(drawn, flange_poses(cell, q), atol=1e-9)
+
+
+def test_frames_hold_every_operations_ends(plan):
+    trajectory = plan.trajectory
+    index = mut.frame_times(trajectory)
+    t = trajectory.t[index]
+    assert (np.diff(index) > 0).all() and np.diff(t).max() <= 0.1 + 0.011
+    for o in trajectory.operations:
+        assert np.abs(t - o.t_start).min() < 0.006 and np.abs(t - o.t_end).min() < 0.006
+
+
+@given(st.lists(st.integers(0, 2), min_size=1, max_size=40))
+@settings(max_examples=60)
+def test_unchanged_frames_can_be_left_out(values):
+    values = np.array(values, float)[:, None, None]
+    kept = mut._changes(values)
+    t = np.arange(len(values))
+    # Linear interpolation between what is kept gives every frame back, as the browser does it.
+    np.testing.assert_allclose(np.interp(t, kept, values[kept, 0, 0]), values[:, 0, 0])
+
+
+def test_names_cannot_break_out_of_the_page(plan):
+    bad = copy.copy(plan)
+    name = "</script><script>alert(1)</script>"
+    bad.part = SimpleNamespace(name=name)
+    first, *rest = plan.trajectory.operations
+    bad.trajectory = replace(plan.trajectory, operations=(replace(first, viewpoints=(name,)), *rest))
+    overlay = mut._with_overlay("<body></body>", bad)
+    assert "<script>alert" not in overlay
+    assert overlay.count("<script>") == overlay.count("</script>") == 1
+
+
+@pytest.fixture(scope="module")
+def shot(page):
+    return screenshot(page, fragment="#t=7")
+
+
+def test_the_page_in_a_browser(shot):
+    image, asked = shot
+    assert asked == set()
+    pixels = image.reshape(-1, 3).astype(int)
+    assert len(np.unique(pixels // 16, axis=0)) > 200, "the page is blank"
+    orange = (pixels[:, 0] > 150) & (pixels[:, 1] > 40) & (pixels[:, 1] < 130) & (pixels[:, 2] < 60)
+    assert orange.mean() > 0.01, "no robot in sight"
+
+
+def test_the_table_turns_in_the_browser(page, shot):
+    early, _ = screenshot(page, fragment="#t=3.2")
+    # Only the right part of the picture: the legend on the left shows the time.
+    differs = np.abs(early[:, 400:].astype(int) - shot[0][:, 400:]).max(axis=2) > 40
+    assert differs.sum() > 200
+
+
+def listening_addresses():
+    """Addresses on which this process listens, from the kernel's own tables."""
+    own = set()
+    for entry in Path("/proc/self/fd").iterdir():
+        try:
+            target = os.readlink(entry)
+        except OSError:
+            continue
+        if target.startswith("socket:["):
+            own.add(target[8:-1])
+    found = set()
+    for table, family in (("tcp", socket.AF_INET), ("tcp6", socket.AF_INET6)):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            columns = line.split()
+            if columns[3] == "0A" and columns[9] in own:
+                packed = bytes.fromhex(columns[1].split(":")[0])
+                words = struct.unpack(f"<{len(packed) // 4}I", packed)
+                found.add(socket.inet_ntop(family, struct.pack(f">{len(words)}I", *words)))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux's /proc")
+def test_the_live_scene_listens_on_loopback_only(plan):
+    scene = mut.live_scene(plan)
+    found = listening_addresses()
+    assert found and found <= {"127.0.0.1", "::1"}
+    assert "localhost" in scene.web_url()
