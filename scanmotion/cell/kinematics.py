@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from py_opw_kinematics import KinematicModel
+from py_opw_kinematics import KinematicModel, ReachResult
 from py_opw_kinematics import Robot as OpwRobot
 from scipy.spatial.transform import RigidTransform
 
@@ -159,6 +159,14 @@ def _opw_lengths(robot: Robot, q_up: np.ndarray) -> dict[str, float] | None:
     }  # fmt: skip
 
 
+def _solve(cell: Cell, X_WS: np.ndarray) -> ReachResult:
+    """All eight branches for poses (n, 4, 4), limits aside."""
+    X_WS = np.asarray(X_WS, dtype=float).reshape(-1, 4, 4)
+    arm = analytic_arm(cell.robot)
+    X_BG = inverse_poses(cell.X_WB) @ X_WS @ (inverse_poses(cell.X_FS) @ arm.X_FG)
+    return arm.solver.reach(RigidTransform.from_matrix(X_BG), np.array([[-2 * np.pi, 2 * np.pi]] * 6))
+
+
 def branches(cell: Cell, X_WS: np.ndarray, *, windings: bool = True) -> Branches:
     """Every arm configuration inside the limits that brings the scanner to each pose.
 
@@ -167,10 +175,7 @@ def branches(cell: Cell, X_WS: np.ndarray, *, windings: bool = True) -> Branches
         X_WS: scanner poses in the world, shape (n, 4, 4).
         windings: also the solutions a whole turn of A1, A4 or A6 away, where the range allows them.
     """
-    X_WS = np.asarray(X_WS, dtype=float).reshape(-1, 4, 4)
-    arm = analytic_arm(cell.robot)
-    X_BG = inverse_poses(cell.X_WB) @ X_WS @ (inverse_poses(cell.X_FS) @ arm.X_FG)
-    result = arm.solver.reach(RigidTransform.from_matrix(X_BG), np.array([[-2 * np.pi, 2 * np.pi]] * 6))
+    result = _solve(cell, X_WS)
     exists = np.isfinite(result.joints).all(axis=2)
     pose_index, branch = np.nonzero(exists)
     q = result.joints[pose_index, branch]
@@ -198,3 +203,26 @@ def _within(low: np.ndarray, high: np.ndarray, q: np.ndarray) -> tuple[np.ndarra
     closest = np.where((q >= low) & (q <= high), q, turned)
     keep = ((closest >= low - 1e-12) & (closest <= high + 1e-12)).all(axis=1)
     return keep, np.clip(closest[keep], low, high)
+
+
+def wrist_shortfall(cell: Cell, X_WS: np.ndarray) -> np.ndarray:
+    """How far the wrist centre of each pose lies outside the shoulder's reach, (n,) [m]; <= 0 inside."""
+    return -_solve(cell, X_WS).extension
+
+
+def joint_excess(cell: Cell, X_WS: np.ndarray) -> tuple[int, float, int]:
+    """The least violation of the limits over all poses and branches.
+
+    Returns:
+        the joint's index, by how much it passes its limit [rad], and the index of the pose.
+    """
+    q = _solve(cell, X_WS).joints
+    pose_index, branch = np.nonzero(np.isfinite(q).all(axis=2))
+    if len(pose_index) == 0:
+        return 0, np.inf, 0
+    q = q[pose_index, branch]
+    wrapped = np.stack([q - 2 * np.pi, q, q + 2 * np.pi])
+    excess = np.maximum(np.maximum(cell.q_min[:6] - wrapped, wrapped - cell.q_max[:6]), 0.0).min(axis=0)
+    best = int(np.argmin(excess.max(axis=1)))
+    joint = int(np.argmax(excess[best]))
+    return joint, float(excess[best, joint]), int(pose_index[best])
