@@ -329,6 +329,7 @@ def _with_overlay(page: str, plan: Any) -> str:
         "title": escape(plan.part.name),
         "numbers": escape(numbers),
         "legend": f"<div>{legend}</div><div>axes: red x, green y, blue z</div>",
+        "seconds": f"{time:.2f}",
         # A "<" in a name must not be able to end or open a script element.
         "steps": json.dumps(steps).replace("<", "\\u003c"),
     }
