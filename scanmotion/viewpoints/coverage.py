@@ -1,0 +1,304 @@
+"""What a viewpoint sees: field, range, incidence and occlusion, for camera and projector both."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from scanmotion.scanner import Scanner
+
+_SKIN = 2e-4
+"""Shadow rays start this far off the surface [m]."""
+_CHUNK = 400_000
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Scene:
+    """What blocks sight, in O: the surface, the table's disc, the pedestal. All are fixed in O: the last two
+    are round about the table's axis.
+    """
+
+    raycaster: Any
+    """Open3D RaycastingScene."""
+    table_z: float
+    """Height of the table's top in O [m]; the scanner stays above it. -inf without a table."""
+
+
+def scene_from(
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    *,
+    table_radius: float | None = None,
+    table_z: float = 0.0,
+    pedestal_radius: float = 0.0,
+) -> Scene:
+    """Prepares the surface for rays.
+
+    Args:
+        vertices: shape (n, 3) in O [m].
+        triangles: shape (m, 3).
+        table_radius: of the table's disc [m]; None for no table.
+        table_z: height of the table's top in O, below zero where a pedestal lifts the part [m].
+        pedestal_radius: of the pedestal between table and part [m]; 0 for none.
+    """
+    import open3d as o3d
+
+    raycaster = o3d.t.geometry.RaycastingScene()
+    parts = [(np.asarray(vertices), np.asarray(triangles))]
+    if table_radius is not None:
+        parts.append(_disc(table_radius, table_z - 1e-4))
+        if pedestal_radius > 0 and table_z < 0:
+            parts.append(_tube(pedestal_radius, table_z, -1e-4))
+    for v, t in parts:
+        raycaster.add_triangles(
+            np.ascontiguousarray(v, dtype=np.float32), np.ascontiguousarray(t, dtype=np.uint32)
+        )
+    return Scene(raycaster=raycaster, table_z=table_z if table_radius is not None else -np.inf)
+
+
+def _ring(radius: float, z: float, n: int = 96) -> np.ndarray:
+    a = 2 * np.pi * np.arange(n) / n
+    return np.column_stack([radius * np.cos(a), radius * np.sin(a), np.full(n, z)])
+
+
+def _disc(radius: float, z: float) -> tuple[np.ndarray, np.ndarray]:
+    ring = _ring(radius, z)
+    n = len(ring)
+    i = np.arange(n)
+    return np.vstack([ring, [[0, 0, z]]]), np.column_stack([i, (i + 1) % n, np.full(n, n)])
+
+
+def _tube(radius: float, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+    a, b = _ring(radius, low), _ring(radius, high)
+    n = len(a)
+    i, j = np.arange(n), (np.arange(n) + 1) % n
+    top = _disc(radius, high)
+    sides = np.vstack([np.column_stack([i, j, j + n]), np.column_stack([i, j + n, i + n])])
+    return np.vstack([a, b, top[0]]), np.vstack([sides, top[1] + 2 * n])
+
+
+def free_lines(scene: Scene, origins: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """Whether nothing stands between each origin and its target (k, 3), shape (k,)."""
+    out = np.zeros(len(origins), bool)
+    for first in range(0, len(origins), _CHUNK):
+        o, t = origins[first : first + _CHUNK], targets[first : first + _CHUNK]
+        rays = np.concatenate([o, t - o], axis=1).astype(np.float32)
+        out[first : first + _CHUNK] = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=1.0).numpy()
+    return out
+
+
+def in_view(scanner: Scanner, X_OS: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Which points the scanner at X_OS (4, 4) would see were nothing in the way, shape (m,).
+
+    Inside the camera's field and range, and turned towards camera and projector by no more than the greatest
+    incidence.
+    """
+    R, camera = X_OS[:3, :3], X_OS[:3, 3]
+    to_camera = camera - points
+    p_S = -to_camera @ R
+    z = p_S[:, 2]
+    tx, ty = np.tan(scanner.fov[0] / 2), np.tan(scanner.fov[1] / 2)
+    ok = (z >= scanner.range[0]) & (z <= scanner.range[1])
+    ok &= (np.abs(p_S[:, 0]) <= tx * z) & (np.abs(p_S[:, 1]) <= ty * z)
+    least = np.cos(scanner.max_incidence)
+    for offset in (np.zeros(3), scanner.baseline * R[:, 0]):
+        line = to_camera + offset
+        cosine = np.einsum("ij,ij->i", line, normals)
+        ok &= cosine >= least * np.linalg.norm(line, axis=1)
+    return ok
+
+
+def _unblocked(
+    scene: Scene, scanner: Scanner, X_OS: np.ndarray, points: np.ndarray, normals: np.ndarray
+) -> np.ndarray:
+    """Whether both eyes of one pose have a free line to each point, shape (k,)."""
+    start = points + _SKIN * normals
+    camera = X_OS[:3, 3]
+    ok = free_lines(scene, start, np.broadcast_to(camera, start.shape))
+    where = np.flatnonzero(ok)
+    projector = camera + scanner.baseline * X_OS[:3, 0]
+    ok[where] = free_lines(scene, start[where], np.broadcast_to(projector, (len(where), 3)))
+    return ok
+
+
+def sees(
+    scene: Scene, scanner: Scanner, X_OS: np.ndarray, points: np.ndarray, normals: np.ndarray
+) -> np.ndarray:
+    """Which surface points each scanner pose measures.
+
+    Args:
+        scene: what blocks sight.
+        scanner: field, range, incidence, baseline.
+        X_OS: poses, shape (n, 4, 4).
+        points: shape (m, 3) in O [m].
+        normals: outward unit normals, shape (m, 3).
+
+    Returns:
+        shape (n, m), bool.
+    """
+    X_OS = np.asarray(X_OS, dtype=float).reshape(-1, 4, 4)
+    out = np.zeros((len(X_OS), len(points)), bool)
+    for n, X in enumerate(X_OS):
+        where = np.flatnonzero(in_view(scanner, X, points, normals))
+        out[n, where] = _unblocked(scene, scanner, X, points[where], normals[where])
+    return out
+
+
+def seen_by_any(
+    scene: Scene,
+    scanner: Scanner,
+    X_OS: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    *,
+    seen: np.ndarray | None = None,
+) -> np.ndarray:
+    """Which points at least one of the poses measures, shape (m,); those in `seen` are not asked again."""
+    found = np.zeros(len(points), bool) if seen is None else np.array(seen, dtype=bool)
+    for X in np.asarray(X_OS, dtype=float).reshape(-1, 4, 4):
+        todo = np.flatnonzero(~found)
+        if len(todo) == 0:
+            break
+        todo = todo[in_view(scanner, X, points[todo], normals[todo])]
+        found[todo] = _unblocked(scene, scanner, X, points[todo], normals[todo])
+    return found
+
+
+def revolution_poses(X_OS: np.ndarray, n: int = 60) -> np.ndarray:
+    """The pose (4, 4) seen from the object while the table turns once, shape (n, 4, 4)."""
+    angle = -2 * np.pi * np.arange(n) / n
+    Z = np.tile(np.eye(4), (n, 1, 1))
+    Z[:, 0, 0] = Z[:, 1, 1] = np.cos(angle)
+    Z[:, 1, 0] = np.sin(angle)
+    Z[:, 0, 1] = -Z[:, 1, 0]
+    return Z @ X_OS
+
+
+def hemisphere(n: int) -> np.ndarray:
+    """`n` directions spread evenly over the upper half sphere (Fibonacci), shape (n, 3)."""
+    k = np.arange(n) + 0.5
+    z = 1 - k / n
+    r, phi = np.sqrt(1 - z * z), np.pi * (1 + 5**0.5) * k
+    return np.column_stack([r * np.cos(phi), r * np.sin(phi), z])
+
+
+def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors that make a right-handed frame with each normal, shape (m, 3) each."""
+    helper = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    x = np.cross(helper, normals)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return x, np.cross(normals, x)
+
+
+def visible(
+    scene: Scene,
+    scanner: Scanner,
+    points: np.ndarray,
+    normals: np.ndarray,
+    *,
+    seen: np.ndarray | None = None,
+    directions: int = 256,
+) -> np.ndarray:
+    """Which points any allowed scanner pose can measure, reach aside, shape (m,).
+
+    Allowed is every pose outside the object and above the table with the point in its field. The camera is
+    tried along `directions` of the hemisphere inside the greatest incidence, at the least, a middle and the
+    greatest distance; the projector beside it at eight rolls.
+
+    Args:
+        scene: what blocks sight.
+        scanner: range, incidence, baseline.
+        points: shape (m, 3) in O [m].
+        normals: shape (m, 3).
+        seen: points that are known to be visible and are not tested, shape (m,).
+        directions: over the whole hemisphere; a finer set finds narrower shafts.
+    """
+    found = np.zeros(len(points), bool) if seen is None else np.array(seen, dtype=bool)
+    local = hemisphere(directions)
+    local = local[local[:, 2] >= np.cos(scanner.max_incidence)]
+    for first in range(0, len(points), 2000):
+        block = np.arange(first, min(first + 2000, len(points)))
+        block = block[~found[block]]
+        if len(block):
+            found[block] = _visible_block(scene, scanner, points[block], normals[block], local)
+    return found
+
+
+def _visible_block(
+    scene: Scene, scanner: Scanner, points: np.ndarray, normals: np.ndarray, local: np.ndarray
+) -> np.ndarray:
+    x, y = tangents(normals)
+    u = (
+        local[None, :, :1] * x[:, None]
+        + local[None, :, 1:2] * y[:, None]
+        + local[None, :, 2:] * normals[:, None]
+    )
+    start = points + _SKIN * normals
+    rays = np.concatenate([np.broadcast_to(start[:, None], u.shape), u], axis=2).reshape(-1, 6)
+    hit = scene.raycaster.cast_rays(rays.astype(np.float32))["t_hit"].numpy().reshape(u.shape[:2])
+    found = np.zeros(len(points), bool)
+    near, far = scanner.range
+    for distance in (near + 1e-3, (near + far) / 2, far - 1e-3):
+        camera = start[:, None] + distance * u
+        ok = (hit > distance) & (camera[..., 2] > scene.table_z + 1e-3) & ~found[:, None]
+        for roll in range(8):
+            i, j = np.nonzero(ok & ~found[:, None])
+            if len(i) == 0:
+                break
+            a, b = tangents(u[i, j])
+            angle = 2 * np.pi * roll / 8
+            eye = camera[i, j] + scanner.baseline * (np.cos(angle) * a + np.sin(angle) * b)
+            line = eye - start[i]
+            turned = np.einsum("ij,ij->i", line, normals[i]) >= np.cos(
+                scanner.max_incidence
+            ) * np.linalg.norm(line, axis=1)
+            turned &= eye[:, 2] > scene.table_z + 1e-3
+            i, eye = i[turned], eye[turned]
+            found[i[free_lines(scene, start[i], eye)]] = True
+    return found
+
+
+def greedy_cover(
+    matrix: np.ndarray,
+    weights: np.ndarray,
+    *,
+    cost: np.ndarray | None = None,
+    target: float = 1.0,
+    max_views: int | None = None,
+) -> list[int]:
+    """Rows that together cover the columns: greedy by weight per cost, then without the redundant ones.
+
+    The greedy choice costs at most ln(m) + 1 times the least (Chvatal 1979, doi 10.1287/moor.4.3.233).
+
+    Args:
+        matrix: which row covers which column, shape (n, m), bool.
+        weights: of the columns, shape (m,), not negative.
+        cost: of the rows, shape (n,), positive; None for equal.
+        target: share of the coverable weight at which to stop.
+        max_views: most rows to take.
+    """
+    weights = np.asarray(weights, dtype=float)
+    cost = np.ones(len(matrix)) if cost is None else np.asarray(cost, dtype=float)
+    open_ = matrix.any(axis=0)
+    goal = target * weights[open_].sum() - 1e-12
+    covered, chosen, total = np.zeros(matrix.shape[1], bool), [], 0.0
+    while total < goal and (max_views is None or len(chosen) < max_views):
+        gain = matrix[:, ~covered] @ weights[~covered] / cost
+        best = int(np.argmax(gain))
+        if gain[best] <= 0:
+            break
+        chosen.append(best)
+        covered |= matrix[best]
+        total = float(weights[covered].sum())
+    return _pruned(matrix, weights, cost, chosen)
+
+
+def _pruned(matrix: np.ndarray, weights: np.ndarray, cost: np.ndarray, chosen: list[int]) -> list[int]:
+    """Drops, costliest first, every row whose columns the others cover."""
+    kept = list(chosen)
+    for row in sorted(chosen, key=lambda r: (-cost[r], -chosen.index(r))):
+        others = [r for r in kept if r != row]
+        alone = matrix[row] & ~matrix[others].any(axis=0) if others else matrix[row]
+        if not (weights[alone] > 0).any():
+            kept = others
+    return kept
