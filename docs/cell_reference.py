@@ -1,0 +1,66 @@
+"""Writes docs/cell.md from the settings' own fields: python docs/cell_reference.py"""
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from scanmotion.cell.config import CellSettings, ObstacleSettings
+
+HEAD = """# The cell's YAML
+
+This page is written by `docs/cell_reference.py` from the code that reads the file; do not edit it.
+
+`scanmotion cell init my-cell.yaml` writes a commented file to start from.
+`scanmotion cell check my-cell.yaml` names the first thing that is wrong with it.
+A key that is left out has its default. Every key ends in its unit; an unknown key, a number with its unit in the
+text, a NaN or a value out of its range is refused with the dotted key.
+"""
+
+
+def bounds(field: FieldInfo) -> str:
+    """The allowed range of a number, as text."""
+    words = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+    found = [
+        f"{sign} {getattr(m, k):g}" for m in field.metadata for k, sign in words.items() if hasattr(m, k)
+    ]
+    return ", ".join(found)
+
+
+def value_text(value: Any) -> str:
+    """A default as it would stand in the file."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return "[" + ", ".join(value_text(v) for v in value) + "]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def rows_of(model: type[BaseModel]) -> list[str]:
+    """One table row for each field of a section."""
+    rows = []
+    for name, field in model.model_fields.items():
+        default = "required" if field.is_required() else f"`{value_text(field.default)}`"
+        rows.append(f"| `{name}` | {default} | {bounds(field)} | {field.description or ''} |")
+    return rows
+
+
+def reference() -> str:
+    """The whole page."""
+    parts = [HEAD]
+    for name, field in CellSettings.model_fields.items():
+        model: Any = ObstacleSettings if name == "obstacles" else field.annotation
+        if field.exclude or not (isinstance(model, type) and issubclass(model, BaseModel)):
+            continue
+        kind = " (a list of these)" if name == "obstacles" else ""
+        parts.append(f"## {name}{kind}\n\n{' '.join((model.__doc__ or '').split())}\n")
+        parts.append("| key | default | range | meaning |\n|---|---|---|---|")
+        parts.append("\n".join(rows_of(model)) + "\n")
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    Path(__file__).with_name("cell.md").write_text(reference(), encoding="utf-8")
