@@ -14,8 +14,8 @@ This page is written by `docs/cell_reference.py` from the code that reads the fi
 
 `scanmotion cell init my-cell.yaml` writes a commented file to start from.
 `scanmotion cell check my-cell.yaml` names the first thing that is wrong with it.
-A key that is left out has its default. Every key ends in its unit; an unknown key, a number with its unit in the
-text, a NaN or a value out of its range is refused with the dotted key.
+A key that is left out has its default. Every key ends in its unit. An unknown key, a number with its unit in
+the text, a NaN or a value out of its range is refused with the dotted key.
 """
 
 

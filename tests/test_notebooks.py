@@ -1,0 +1,51 @@
+"""The notebooks hold calls only, no stored outputs, and run from top to bottom."""
+
+import ast
+from pathlib import Path
+
+import nbformat
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+SLOW = ("01", "05")
+
+
+def test_there_are_five():
+    assert [p.name[:2] for p in NOTEBOOKS] == ["01", "02", "03", "04", "05"]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_calls_only_and_no_outputs(path):
+    notebook = nbformat.read(path, as_version=4)
+    for cell in notebook.cells:
+        if cell.cell_type != "code":
+            continue
+        assert cell.outputs == [] and cell.execution_count is None
+        tree = ast.parse(cell.source)
+        for node in ast.walk(tree):
+            assert not isinstance(
+                node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Lambda | ast.For | ast.While
+            ), ast.unparse(node)
+        assert cell.source.count("\n") < 20
+
+
+def run(path, folder, monkeypatch):
+    from nbclient import NotebookClient
+
+    # The kernel finds this environment's packages, and its font cache, wherever it starts.
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    notebook = nbformat.read(path, as_version=4)
+    NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(folder)}}).execute()
+    return notebook
+
+
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(p, marks=[pytest.mark.slow] if p.name.startswith(SLOW) else []) for p in NOTEBOOKS],
+    ids=lambda p: p.stem,
+)
+def test_runs(path, tmp_path, monkeypatch):
+    notebook = run(path, tmp_path, monkeypatch)
+    shown = [c for c in notebook.cells if c.cell_type == "code" and c.outputs]
+    assert len(shown) >= 2
