@@ -1,0 +1,185 @@
+"""Damaged part, cell and plan files end in a value or in one line, never in a traceback."""
+
+import struct
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scanmotion.cell.config import cell_template, load_cell
+from scanmotion.errors import CellError, PartError
+from scanmotion.part import Part, part_from_file
+
+V = 100.0 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
+F = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 4], [1, 4, 3], [2, 3, 4]])
+TOKENS = (
+    b"nan",
+    b"-1",
+    b"1e308",
+    b"inf",
+    b"0",
+    b"4294967295",
+    b"99999999999999999999",
+    b"",
+    b"\n",
+    b"\x00",
+    b"end_header",
+    b"element vertex 1000000000",
+    b"property list uchar int x",
+    b"property float x",
+    b"format ascii 1.0",
+    b"\xff\xfe",
+    b"f 1 2 3",
+    b"f 1//1 2//2 -9",
+    b"v",
+    b"solid",
+    b"POINTS 7",
+    b"DATA binary",
+    b"{",
+    b"- [",
+    b"!!python/name:os.system",
+    b": ",
+    b"&a [*a]",
+    b"true",
+    b"null",
+    b"1 2",
+    b"1.5.2",
+)
+
+
+def ply(binary: bool) -> bytes:
+    kind = "binary_little_endian" if binary else "ascii"
+    head = (
+        f"ply\nformat {kind} 1.0\nelement vertex {len(V)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(F)}\nproperty list uchar int vertex_indices\nend_header\n"
+    ).encode()
+    if binary:
+        return head + V.astype("<f4").tobytes() + b"".join(struct.pack("<B3i", 3, *f) for f in F)
+    rows = [" ".join(map(str, v)) for v in V] + [f"3 {a} {b} {c}" for a, b, c in F]
+    return head + "\n".join(rows).encode() + b"\n"
+
+
+def stl(binary: bool) -> bytes:
+    if binary:
+        rows = [struct.pack("<12fH", 0, 0, 1, *V[f].ravel(), 0) for f in F]
+        return b"\0" * 80 + struct.pack("<I", len(F)) + b"".join(rows)
+    text = ["solid s"]
+    for f in F:
+        corners = "".join(f"vertex {x} {y} {z}\n" for x, y, z in V[f])
+        text.append(f"facet normal 0 0 1\nouter loop\n{corners}endloop\nendfacet")
+    return "\n".join([*text, "endsolid s\n"]).encode()
+
+
+def lines(rows, form: str) -> bytes:
+    return "\n".join(form.format(*row) for row in rows).encode() + b"\n"
+
+
+PCD = (
+    b"# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 5\nHEIGHT 1\n"
+    b"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 5\nDATA "
+)
+SEEDS = {
+    "a.ply": ply(False),
+    "b.ply": ply(True),
+    "a.stl": stl(False),
+    "b.stl": stl(True),
+    "a.obj": lines(V, "v {} {} {}") + lines(F + 1, "f {} {} {}"),
+    "a.xyz": lines(V, "{} {} {}"),
+    "a.pcd": PCD + b"ascii\n" + lines(V, "{} {} {}"),
+    "b.pcd": PCD + b"binary\n" + V.astype("<f4").tobytes(),
+}
+
+
+def damaged(seed: bytes, rng: np.random.Generator) -> bytes:
+    """One to four wounds: a flipped byte, a cut, a repeated or lost stretch, a foreign token."""
+    data = bytearray(seed)
+    for _ in range(rng.integers(1, 5)):
+        if not data:
+            break
+        at, size = int(rng.integers(len(data))), int(rng.integers(1, 12))
+        match rng.integers(6):
+            case 0:
+                data[at] = int(rng.integers(256))
+            case 1:
+                del data[at:]
+            case 2:
+                del data[at : at + size]
+            case 3:
+                data[at:at] = data[at : at + 4 * size]
+            case 4:
+                data[at : at + size] = TOKENS[int(rng.integers(len(TOKENS)))]
+            case _:
+                line = data.find(b"\n", at) + 1
+                data[line:line] = TOKENS[int(rng.integers(len(TOKENS)))] + b"\n"
+    return bytes(data)
+
+
+def one_line(error: Exception) -> None:
+    text = str(error)
+    assert text and "\n" not in text and len(text) < 600, text
+
+
+def fuzz_parts(folder: Path, number: int, seed: int) -> int:
+    """Loads `number` damaged parts; returns how many were still usable."""
+    rng, good, names = np.random.default_rng(seed), 0, list(SEEDS)
+    for i in range(number):
+        name = names[i % len(names)]
+        file = folder / name
+        file.write_bytes(damaged(SEEDS[name], rng))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                part = part_from_file(file)
+        except PartError as error:
+            one_line(error)
+        else:
+            good += 1
+            assert isinstance(part, Part) and np.isfinite(part.vertices).all()
+            assert len(part.triangles) == 0 or part.triangles.max() < len(part.vertices)
+    return good
+
+
+def fuzz_cells(folder: Path, number: int, seed: int) -> int:
+    """Loads `number` damaged cells; returns how many were still usable."""
+    rng, good, template = np.random.default_rng(seed), 0, cell_template().encode()
+    file = folder / "cell.yaml"
+    for _ in range(number):
+        file.write_bytes(damaged(template, rng))
+        try:
+            settings = load_cell(file)
+        except CellError as error:
+            one_line(error)
+        else:
+            good += 1
+            assert 0.1 <= settings.process.standoff_m <= 5.0
+    return good
+
+
+def test_undamaged_files_load(tmp_path):
+    for name, content in SEEDS.items():
+        (tmp_path / name).write_bytes(content)
+        part = part_from_file(tmp_path / name)
+        assert part.is_mesh == (not name.endswith((".xyz", ".pcd")))
+        np.testing.assert_allclose(part.extent, 0.1, atol=1e-6)
+
+
+def test_damaged_parts(tmp_path):
+    assert 0 < fuzz_parts(tmp_path, 1600, seed=1) < 1600
+
+
+def test_damaged_cells(tmp_path):
+    assert 0 < fuzz_cells(tmp_path, 150, seed=2) < 150
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_many_damaged_parts(tmp_path, seed):
+    fuzz_parts(tmp_path, 3000, seed=100 + seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_many_damaged_cells(tmp_path, seed):
+    fuzz_cells(tmp_path, 1000, seed=200 + seed)
