@@ -265,3 +265,51 @@ def search(C, CT, head, tail, first, partner, stage, seeds, generations, shakes,
             seeds[worst], states[worst], costs[worst] = child, child_states, cost
     best = int(np.argmin(costs))
     return seeds[best].copy(), states[best].copy(), costs[best]
+
+
+@njit(cache=True)
+def _gap(features, a, b):
+    low = 0.0
+    for i in range(features.shape[1]):
+        low = max(low, abs(features[a, i] - features[b, i]))
+    return low
+
+
+@njit(cache=True)
+def cheapest_apart(features, order, chosen, apart, most):
+    """Add the first rows of `order` that lie `apart` from all chosen ones until there are `most`."""
+    out = np.empty(max(most, len(chosen)), dtype=np.int64)
+    out[: len(chosen)] = chosen
+    count = len(chosen)
+    for row in order:
+        if count >= most:
+            break
+        free = True
+        for k in range(count):
+            if _gap(features, row, out[k]) <= apart:
+                free = False
+                break
+        if free:
+            out[count] = row
+            count += 1
+    return out[:count]
+
+
+@njit(cache=True)
+def most_different(features, chosen, most):
+    """Add the row that is farthest from all chosen ones, until there are `most` or none differs."""
+    n = len(features)
+    out = np.zeros(max(most, len(chosen), 1), dtype=np.int64)
+    out[: len(chosen)] = chosen
+    count = max(len(chosen), 1)
+    distance = np.full(n, np.inf)
+    for k in range(min(most, n)):
+        if k >= count:
+            row = int(np.argmax(distance))
+            if distance[row] <= 1e-9:
+                break
+            out[k] = row
+            count += 1
+        for i in range(n):
+            distance[i] = min(distance[i], _gap(features, i, out[k]))
+    return out[:count]

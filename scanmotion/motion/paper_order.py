@@ -53,15 +53,15 @@ def paper_order(
     for g in order:
         way = _least_turned(groups[g], table)
         ways.append(way)
-        table = float(groups[g].q_out[way, 6])
+        table = float(groups[g].leave.q[way, 6])
     return order, ways
 
 
 def _least_turned(group: Group, table: float) -> int:
     """The way that the paper's cell takes; a revolution turns on from where the table stands."""
     if group.kind == "revolution":
-        return int(np.abs(group.q_in[:, 6] - table).argmin())
-    forward = ~group.backward if len(group.backward) else np.ones(len(group.q_in), dtype=bool)
-    turned = np.abs(group.q_in[:, 6])
+        return int(np.abs(group.enter.q[:, 6] - table).argmin())
+    forward = ~group.backward if len(group.backward) else np.ones(len(group), dtype=bool)
+    turned = np.abs(group.enter.q[:, 6])
     turned = np.where(turned <= _FIXED_RAD, 0.0, turned)
     return int(np.where(forward, turned, np.inf).argmin())

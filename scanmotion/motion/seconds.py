@@ -1,13 +1,14 @@
 """What a motion costs in seconds, before it is planned: transits, sweeps, revolutions.
 
 A transit moves the arm with the scanner on a straight line in W where both ends lie in the same branch of
-the arm's first three axes, and evenly in its joints where they do not; the table turns beside it by its own
+the arm's first three axes, and evenly in its joints elsewhere; the table turns beside it by its own
 ramps. The arm's time is that of one path parameter from rest to rest, capped by the axes' velocities and by
 the scanner's transit speed; its acceleration is capped by the axes', and jerk prolongs the ramps.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,14 @@ from scanmotion.motion.tour import Stop
 
 if TYPE_CHECKING:
     from scanmotion.cell.plant import Cell
+
+
+_BASE_RAD = 2.6
+"""A greater turn of A1 cannot keep the scanner on a straight line [rad]."""
+_WRIST_RAD = 3.0
+"""Greater turns of A4 or A6 make the first three axes swing, which costs `_WRIST_S_PER_RAD` [rad]."""
+_WRIST_S_PER_RAD = 0.6
+"""Fitted to the times of planned transits [s/rad]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -87,14 +96,42 @@ def _nearest_to_axes(axes: np.ndarray, points: np.ndarray) -> np.ndarray:
     )[0]
 
 
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Configurations, with all that the time of a transit between them depends on."""
+
+    q: np.ndarray
+    """Shape (n, 7) [rad]."""
+    p: np.ndarray
+    """The scanner's origin in W, shape (n, 3) [m]."""
+    change: np.ndarray
+    """Its change with each of A1..A6, shape (n, 6, 3) [m]."""
+    branch: np.ndarray
+    """Which way elbow and shoulder are bent, 0..3, shape (n,)."""
+
+    def __getitem__(self, rows: np.ndarray | slice) -> Placed:
+        return Placed(self.q[rows], self.p[rows], self.change[rows], self.branch[rows])
+
+
+def placed(model: MoveModel, q: np.ndarray | Placed) -> Placed:
+    """Forward kinematics of configurations (n, 7) or (7,); what is placed already is returned as it is."""
+    if isinstance(q, Placed):
+        return q
+    q = np.ascontiguousarray(np.atleast_2d(q), dtype=float)
+    p, change = _tangents(model.axes, model.points, model.p_WS, q)
+    return Placed(q, p, change, _branches(model.axes, model.points, model.p_WC, q))
+
+
+def joined(parts: Sequence[Placed]) -> Placed:
+    """All configurations in one."""
+    return Placed(
+        *(np.concatenate([getattr(x, name) for x in parts]) for name in ("q", "p", "change", "branch"))
+    )
+
+
 def scanner_positions(model: MoveModel, q: np.ndarray) -> np.ndarray:
     """The scanner's origin in W, shape (n, 3) [m], for configurations (n, 7)."""
-    return _tangents(model.axes, model.points, model.p_WS, _rows(q))[0]
-
-
-def arm_branches(model: MoveModel, q: np.ndarray) -> np.ndarray:
-    """Which way elbow and shoulder are bent, 0..3, shape (n,), for configurations (n, 7)."""
-    return _branches(model.axes, model.points, model.p_WC, _rows(q))
+    return placed(model, q).p
 
 
 def edge_seconds(cell: Cell, qa: np.ndarray, qb: np.ndarray) -> np.ndarray:
@@ -108,31 +145,26 @@ def edge_seconds(cell: Cell, qa: np.ndarray, qb: np.ndarray) -> np.ndarray:
     return move_seconds(move_model(cell), qa, qb)
 
 
-def move_seconds(model: MoveModel, qa: np.ndarray, qb: np.ndarray) -> np.ndarray:
+def move_seconds(model: MoveModel, qa: np.ndarray | Placed, qb: np.ndarray | Placed) -> np.ndarray:
     """`edge_seconds` for a model made before."""
-    return _times(model, True, qa, qb)[:, 0]
+    return _times(model, True, placed(model, qa), placed(model, qb))[:, 0]
 
 
-def move_matrix(model: MoveModel, qa: np.ndarray, qb: np.ndarray) -> np.ndarray:
+def move_matrix(model: MoveModel, qa: np.ndarray | Placed, qb: np.ndarray | Placed) -> np.ndarray:
     """Time of a transit from each of qa (n, 7) to each of qb (m, 7), shape (n, m) [s].
 
     The length of the scanner's way along a joint line is that of the cubic through both ends' tangents, taken
     as the mean of its chord and its control polygon (Gravesen, Computational Geometry 8(1), 1997, 13-31,
     doi 10.1016/0925-7721(95)00054-2).
     """
-    return _times(model, False, qa, qb)
+    return _times(model, False, placed(model, qa), placed(model, qb))
 
 
-def _times(model: MoveModel, paired: bool, qa: np.ndarray, qb: np.ndarray) -> np.ndarray:
-    m, qa, qb = model, _rows(qa), _rows(qb)
-    pa, ca = _tangents(m.axes, m.points, m.p_WS, qa)
-    pb, cb = _tangents(m.axes, m.points, m.p_WS, qb)
-    ba, bb = arm_branches(m, qa), arm_branches(m, qb)
-    return _transits(m.v, m.a, m.j, m.transit_speed, paired, qa, pa, ca, ba, qb, pb, cb, bb)
-
-
-def _rows(q: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(np.atleast_2d(q), dtype=float)
+def _times(model: MoveModel, paired: bool, a: Placed, b: Placed) -> np.ndarray:
+    m = model
+    return _transits(
+        m.v, m.a, m.j, m.transit_speed, paired, a.q, a.p, a.change, a.branch, b.q, b.p, b.change, b.branch
+    )
 
 
 def jerk_limited_seconds(length: np.ndarray | float, v: float, a: float, j: float) -> np.ndarray:
@@ -209,25 +241,21 @@ def _branches(axes, points, p, q):
 def _tangents(axes, points, p, q):
     """Scanner's origin, shape (n, 3), and its change with each of A1..A6, shape (n, 6, 3)."""
     n = len(q)
-    place, change = np.empty((n, 3)), np.empty((n, 6, 3))
+    place, change = np.empty((n, 3)), np.zeros((n, 6, 3))
     for k in range(n):
-        for i in range(6):
-            x, y, z = p[0], p[1], p[2]
-            # The scanner and its change by joint i where the joints before i are at zero, then carried on.
-            tip = np.zeros(3)
-            for m in range(5, -1, -1):
-                c, s = np.cos(q[k, m]), np.sin(q[k, m])
-                w, r = axes[m], points[m]
-                x, y, z = _turned(w, c, s, x - r[0], y - r[1], z - r[2])
-                x, y, z = x + r[0], y + r[1], z + r[2]
-                if m == i:
-                    tip[0] = w[1] * (z - r[2]) - w[2] * (y - r[1])
-                    tip[1] = w[2] * (x - r[0]) - w[0] * (z - r[2])
-                    tip[2] = w[0] * (y - r[1]) - w[1] * (x - r[0])
-                elif m < i:
-                    tip[0], tip[1], tip[2] = _turned(w, c, s, tip[0], tip[1], tip[2])
-            change[k, i] = tip
-            place[k, 0], place[k, 1], place[k, 2] = x, y, z
+        x, y, z = p[0], p[1], p[2]
+        for m in range(5, -1, -1):
+            c, s = np.cos(q[k, m]), np.sin(q[k, m])
+            w, r = axes[m], points[m]
+            x, y, z = _turned(w, c, s, x - r[0], y - r[1], z - r[2])
+            change[k, m, 0] = w[1] * z - w[2] * y
+            change[k, m, 1] = w[2] * x - w[0] * z
+            change[k, m, 2] = w[0] * y - w[1] * x
+            for i in range(m + 1, 6):
+                t = change[k, i]
+                t[0], t[1], t[2] = _turned(w, c, s, t[0], t[1], t[2])
+            x, y, z = x + r[0], y + r[1], z + r[2]
+        place[k, 0], place[k, 1], place[k, 2] = x, y, z
     return place, change
 
 
@@ -276,10 +304,12 @@ def _transit(v, a, tcp, soft, da, pa, ca, straight, qb, pb, cb, d):
             rate = max(rate, abs(d[i]) / v[i])
             slow = max(slow, abs(d[i]) / a[i])
     rate = max(rate, _scanner_way(pa, ca, pb, cb, d, straight) / tcp)
+    far = max(abs(d[3]), abs(d[5])) - _WRIST_RAD
+    wrist = _WRIST_S_PER_RAD * far if far > 0.0 else 0.0
     # The path parameter's greatest speed is 1 / rate, its acceleration 1 / slow.
     arm = _rest_to_rest(1.0, 1.0 / rate, 1.0 / slow) if slow > 1e-12 else 0.0
     seconds = max(arm, _rest_to_rest(abs(d[6]), v[6], a[6]))
-    return seconds + soft if seconds > 1e-9 else 0.0
+    return seconds + soft + wrist if seconds > 1e-9 else 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -291,6 +321,6 @@ def _transits(v, a, j, tcp, paired, qa, pa, ca, ba, qb, pb, cb, bb):
     for n in range(len(qa)):
         for k in range(out.shape[1]):
             m = n if paired else k
-            straight = ba[n] == bb[m]
+            straight = ba[n] == bb[m] and abs(qb[m, 0] - qa[n, 0]) < _BASE_RAD
             out[n, k] = _transit(v, a, tcp, soft, qa[n], pa[n], ca[n], straight, qb[m], pb[m], cb[m], d)
     return out

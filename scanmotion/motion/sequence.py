@@ -12,7 +12,7 @@ from scanmotion.errors import InputError
 from scanmotion.motion.floor import floor_seconds
 from scanmotion.motion.layers import search
 from scanmotion.motion.paper_order import paper_order
-from scanmotion.motion.seconds import MoveModel, move_matrix, move_model, stop_seconds
+from scanmotion.motion.seconds import MoveModel, joined, move_matrix, move_model, stop_seconds
 from scanmotion.motion.stops import Group, PathFree, dwell_group, natural, revolution_group, stage_of, thinned
 from scanmotion.motion.sweeps import straight_runs, sweep_group
 from scanmotion.motion.tour import Stop, Tour
@@ -34,17 +34,17 @@ class SequenceOptions:
     """Configurations in the search at once, over all stops."""
     most_per_stop: int = 40
     """Greatest number of configurations of one stop in the search at once."""
-    rounds: int = 3
-    """Searches, each over the configurations near the best of the one before."""
+    rounds: int = 6
+    """Greatest number of searches, each over the configurations that suit the order of the one before."""
     population: int = 6
     """Orders kept by the genetic algorithm."""
     generations: int = 12
     """Children made in each round."""
-    effort: int = 8_000_000
+    effort: int = 40_000_000
     """Places tried when stops are taken out and put back, in each round over all children."""
     orders: TourOptions = _ORDERS
     """Search for the order that starts each round."""
-    table_step_deg: float = 60.0
+    table_step_deg: float = 15.0
     """Steps between the table angles from which a revolution may start [deg]."""
     sweep_ways: int = 12
     """Joint paths kept for each sweep and direction before windings of the table."""
@@ -124,8 +124,8 @@ def _stop(group: Group, way: int) -> Stop:
     return Stop(
         viewpoints=viewpoints,
         kind=group.kind,
-        q_in=group.q_in[way].copy(),
-        q_out=group.q_out[way].copy(),
+        q_in=group.enter.q[way].copy(),
+        q_out=group.leave.q[way].copy(),
         path=path,
     )
 
@@ -154,7 +154,7 @@ def _groups(
         elif viewpoint.kind == "revolution":
             table = start_q[6] + np.radians(np.arange(0.0, 360.0, options.table_step_deg))
             group = revolution_group(reach, model, e1_range, table)
-            if len(group.q_in):
+            if len(group):
                 groups.append(group)
             else:
                 degrees = np.degrees(e1_range[1] - e1_range[0])
@@ -181,32 +181,33 @@ def _fastest_order(
     if not groups:
         return groups, [], []
     per_stop = int(np.clip(options.states // len(groups), 4, options.most_per_stop))
-    near = [start_q[None]] * len(groups)
+    between: list[Between] = [(start_q, None)] * len(groups)
     order, best = np.arange(len(groups)), np.inf
     result: tuple[list[Group], list[int], list[int]] = (groups, [], [])
     for _ in range(options.rounds):
-        few = [thinned(g, model, per_stop, n) for g, n in zip(groups, near, strict=True)]
+        few = [thinned(g, model, per_stop, *b) for g, b in zip(groups, between, strict=True)]
         order, states, cost, first = _searched(model, few, start_q, order, rng, options)
+        if cost >= best - 1e-3:
+            break
         ways = [int(s - first[g]) for g, s in zip(order, states, strict=True)]
-        if cost < best - 1e-9:
-            best, result = cost, (few, [int(g) for g in order], ways)
-        near = _neighbourhoods(result, start_q, per_stop)
-        order = np.array(result[1])
+        best, result = cost, (few, [int(g) for g in order], ways)
+        between = _neighbours(result, start_q)
     return result
 
 
-def _neighbourhoods(
-    result: tuple[list[Group], list[int], list[int]], start_q: np.ndarray, per_stop: int
-) -> list[np.ndarray]:
-    """Configurations near which each stop's ways of the next search should lie: its own, its neighbours'."""
+Between = tuple[np.ndarray | None, np.ndarray | None]
+"""Configurations that the tour comes from and goes on to, where they are known."""
+
+
+def _neighbours(result: tuple[list[Group], list[int], list[int]], start_q: np.ndarray) -> list[Between]:
+    """What the tour does before and after each group."""
     few, order, ways = result
-    near: list[np.ndarray] = [start_q[None]] * len(few)
-    for i, (g, w) in enumerate(zip(order, ways, strict=True)):
-        before = few[order[i - 1]].q_out[ways[i - 1]] if i > 0 else start_q
-        after = few[order[i + 1]].q_in[ways[i + 1]] if i + 1 < len(order) else few[g].q_out[w]
-        others = [before, after] * (per_stop // 3)
-        near[g] = np.array([few[g].q_in[w], few[g].q_out[w], *others])
-    return near
+    between: list[Between] = [(None, None)] * len(few)
+    for i, g in enumerate(order):
+        before = few[order[i - 1]].leave.q[ways[i - 1]] if i > 0 else start_q
+        after = few[order[i + 1]].enter.q[ways[i + 1]] if i + 1 < len(order) else None
+        between[g] = (before, after)
+    return between
 
 
 def _searched(
@@ -218,11 +219,11 @@ def _searched(
     options: SequenceOptions,
 ) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
     """Genetic algorithm over the ways of `groups`: order, states, cost and first state of each group."""
-    first = np.cumsum([0] + [len(g.q_in) for g in groups])
+    first = np.cumsum([0] + [len(g) for g in groups])
     served = np.concatenate([g.seconds for g in groups])
-    q_in, q_out = np.vstack([g.q_in for g in groups]), np.vstack([g.q_out for g in groups])
-    C = move_matrix(model, q_out, q_in) + (served[:, None] + served[None]) / 2
-    head = move_matrix(model, start_q, q_in)[0] + served / 2
+    enter, leave = joined([g.enter for g in groups]), joined([g.leave for g in groups])
+    C = move_matrix(model, leave, enter) + (served[:, None] + served[None]) / 2
+    head = move_matrix(model, start_q, enter)[0] + served / 2
     partner = np.concatenate([g.partner + n for g, n in zip(groups, first[:-1], strict=True)])
     stage = np.array([g.stage for g in groups])
     seeds = _seeds(C, head, first, stage, order, rng, options)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scanmotion.motion.seconds import MoveModel, revolution_seconds, scanner_positions
+from scanmotion.motion.layers import cheapest_apart, most_different
+from scanmotion.motion.seconds import MoveModel, Placed, move_matrix, placed, revolution_seconds
 from scanmotion.motion.tour import StopKind
 
 if TYPE_CHECKING:
@@ -18,6 +19,16 @@ if TYPE_CHECKING:
 PathFree = Callable[[np.ndarray], tuple]
 """Whether a joint path (k, 7) is clear, as the first item of what is returned (Clearance.path_free)."""
 TURN = 2 * np.pi
+_REVOLUTION_ARMS = 60
+"""Greatest number of arm configurations of one revolution."""
+_TABLE_RAD = 0.1
+"""Table angles nearer than this are taken for one when ways are chosen [rad]."""
+_ANGLES = 0.6
+"""Share of a group's ways that are the cheapest of their table angle."""
+_CHEAP = 0.85
+"""Share that is chosen by cost, the cheapest of their table angle among them."""
+_APART_S = 0.1
+"""Ways nearer to each other than this are taken for one [s]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -28,10 +39,10 @@ class Group:
     kind: StopKind
     stage: int
     """0 for the global step, 1 for the local one."""
-    q_in: np.ndarray
-    """Configurations on arrival, shape (k, 7) [rad]."""
-    q_out: np.ndarray
-    """Configurations on leaving, shape (k, 7) [rad]."""
+    enter: Placed
+    """Configurations on arrival, k of them."""
+    leave: Placed
+    """Configurations on leaving."""
     seconds: np.ndarray
     """Time that each way takes, shape (k,) [s]."""
     partner: np.ndarray
@@ -41,13 +52,16 @@ class Group:
     paths: tuple[np.ndarray, ...] = ()
     """Joint paths of a sweep, shape (k, 7) each."""
 
+    def __len__(self) -> int:
+        return len(self.seconds)
+
     def only(self, ways: np.ndarray) -> Group:
         """The group with some of its ways; they must hold the partner of each."""
         places = {int(w): n for n, w in enumerate(ways)}
         return replace(
             self,
-            q_in=self.q_in[ways],
-            q_out=self.q_out[ways],
+            enter=self.enter[ways],
+            leave=self.leave[ways],
             seconds=self.seconds[ways],
             partner=np.array([places[int(self.partner[w])] for w in ways]),
             backward=self.backward[ways] if len(self.backward) else self.backward,
@@ -71,15 +85,15 @@ def dwell_group(reach: Reach, model: MoveModel, e1_range: tuple[float, float]) -
     rows = []
     for q in np.asarray(reach.q):
         rows += [np.append(q[:6], e) for e in windings(q[6], *e1_range)]
-    q = np.array(rows).reshape(-1, 7)
+    q = placed(model, np.array(rows).reshape(-1, 7))
     return Group(
         viewpoints=(reach.viewpoint.id,),
         kind="dwell",
         stage=stage_of(reach),
-        q_in=q,
-        q_out=q,
-        seconds=np.full(len(q), model.dwell_s),
-        partner=np.arange(len(q)),
+        enter=q,
+        leave=q,
+        seconds=np.full(len(rows), model.dwell_s),
+        partner=np.arange(len(rows)),
     )
 
 
@@ -96,20 +110,21 @@ def revolution_group(
     stands when it begins.
     """
     arms = np.unique(np.round(np.asarray(reach.q)[:, :6], 9), axis=0)
+    arms = arms[spread(model, np.column_stack([arms, np.zeros(len(arms))]), _REVOLUTION_ARMS)]
     starts = np.unique(np.round(np.concatenate([windings(e, *e1_range) for e in table]), 9))
     low, high = e1_range
     turns = [(e, e + TURN) for e in starts if e + TURN <= high + 1e-9]
     turns += [(e + TURN, e) for e, _ in turns]
     if not turns:
-        return _group_of_pairs(reach, np.empty((0, 7)), np.empty((0, 7)), 0.0)
+        return _group_of_pairs(reach, model, np.empty((0, 7)), np.empty((0, 7)))
     ends = np.clip(np.array(turns), low, high)
     q = np.repeat(arms, len(ends), axis=0)
     q_in = np.column_stack([q, np.tile(ends[:, 0], len(arms))])
     q_out = np.column_stack([q, np.tile(ends[:, 1], len(arms))])
-    return _group_of_pairs(reach, q_in, q_out, revolution_seconds(model))
+    return _group_of_pairs(reach, model, q_in, q_out)
 
 
-def _group_of_pairs(reach: Reach, q_in: np.ndarray, q_out: np.ndarray, seconds: float) -> Group:
+def _group_of_pairs(reach: Reach, model: MoveModel, q_in: np.ndarray, q_out: np.ndarray) -> Group:
     """Ways that come in blocks of two halves, the second the first backwards."""
     k = len(q_in)
     where = {q.tobytes() + p.tobytes(): n for n, (q, p) in enumerate(zip(q_in, q_out, strict=True))}
@@ -118,31 +133,42 @@ def _group_of_pairs(reach: Reach, q_in: np.ndarray, q_out: np.ndarray, seconds: 
         viewpoints=(reach.viewpoint.id,),
         kind="revolution",
         stage=stage_of(reach),
-        q_in=q_in,
-        q_out=q_out,
-        seconds=np.full(k, seconds),
+        enter=placed(model, q_in),
+        leave=placed(model, q_out),
+        seconds=np.full(k, revolution_seconds(model)),
         partner=np.array(partner, dtype=int),
     )
 
 
-def thinned(group: Group, model: MoveModel, most: int, near: np.ndarray) -> Group:
-    """At most about `most` ways: those nearest to the configurations `near` (n, 7), then the most different.
+def thinned(
+    group: Group, model: MoveModel, most: int, before: np.ndarray | None, after: np.ndarray | None
+) -> Group:
+    """At most about `most` ways: those that cost least between two configurations, then the most different.
 
-    Differences are in seconds: of the scanner at its transit speed, of each axis at its greatest speed.
+    Args:
+        group: all ways.
+        model: cost of motions; ways differ by the seconds of the scanner and of each axis between them.
+        most: ways kept.
+        before: configuration that the tour comes from, shape (7,); None where that is not known.
+        after: configuration that it goes on to, shape (7,); None where that is not known.
     """
-    if len(group.q_in) <= most:
+    if len(group) <= most:
         return group
-    x, y = _features(model, group.q_in), _features(model, group.q_out)
-    chosen: list[int] = []
-    for target in _features(model, np.atleast_2d(near)):
-        gap = np.minimum(np.abs(x - target).max(axis=1), np.abs(y - target).max(axis=1))
-        gap[chosen] = np.inf
-        if len(chosen) < most:
-            chosen += [w for w in _both(group, int(gap.argmin())) if w not in chosen]
+    features = np.hstack([_features(model, group.enter), _features(model, group.leave)])
     # Ways that differ from their partners come in pairs, so half as many are drawn.
     drawn = most if group.kind == "dwell" else most // 2
-    chosen = _most_different(np.hstack([x, y]), chosen, drawn)
-    return group.only(np.array(sorted({w for way in chosen for w in _both(group, way)})))
+    chosen = np.zeros(0, dtype=np.int64)
+    if before is not None or after is not None:
+        cost = np.zeros(len(features))
+        cost += move_matrix(model, before, group.enter)[0] if before is not None else 0.0
+        cost += move_matrix(model, group.leave, after)[:, 0] if after is not None else 0.0
+        order = np.argsort(cost, kind="stable")
+        table = np.round(np.column_stack([group.enter.q[order, 6], group.leave.q[order, 6]]) / _TABLE_RAD)
+        _, firsts = np.unique(table, axis=0, return_index=True)
+        chosen = order[np.sort(firsts)][: int(_ANGLES * drawn)]
+        chosen = cheapest_apart(features, order, chosen, _APART_S, int(_CHEAP * drawn))
+    chosen = most_different(features, chosen, drawn)
+    return group.only(np.array(sorted({w for way in chosen for w in _both(group, int(way))})))
 
 
 def _both(group: Group, way: int) -> tuple[int, ...]:
@@ -152,23 +178,8 @@ def _both(group: Group, way: int) -> tuple[int, ...]:
 
 def spread(model: MoveModel, q: np.ndarray, most: int) -> np.ndarray:
     """Indices of at most `most` configurations of (k, 7), the first and then the most different."""
-    return np.array(_most_different(_features(model, q), [0], most))
+    return most_different(_features(model, placed(model, q)), np.zeros(1, dtype=np.int64), most)
 
 
-def _most_different(features: np.ndarray, chosen: list[int], most: int) -> list[int]:
-    """Add to `chosen` the row that is farthest from all chosen ones, until there are `most`."""
-    chosen = list(chosen) or [0]
-    distance = np.full(len(features), np.inf)
-    for row in chosen:
-        distance = np.minimum(distance, np.abs(features - features[row]).max(axis=1))
-    while len(chosen) < min(most, len(features)):
-        row = int(distance.argmax())
-        if distance[row] <= 1e-9:
-            break
-        chosen.append(row)
-        distance = np.minimum(distance, np.abs(features - features[row]).max(axis=1))
-    return chosen
-
-
-def _features(model: MoveModel, q: np.ndarray) -> np.ndarray:
-    return np.hstack([scanner_positions(model, q) / model.transit_speed, q / model.v])
+def _features(model: MoveModel, x: Placed) -> np.ndarray:
+    return np.hstack([x.p / model.transit_speed, x.q / model.v])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from scanmotion.motion.seconds import MoveModel, path_seconds
+from scanmotion.motion.seconds import MoveModel, path_seconds, placed
 from scanmotion.motion.stops import Group, PathFree, spread, stage_of, windings
 
 if TYPE_CHECKING:
@@ -83,8 +83,8 @@ def sweep_group(
         viewpoints=tuple(r.viewpoint.id for r in run),
         kind="sweep",
         stage=stage_of(run[0]),
-        q_in=np.array([w[0] for w in ways]),
-        q_out=np.array([w[-1] for w in ways]),
+        enter=placed(model, np.array([w[0] for w in ways])),
+        leave=placed(model, np.array([w[-1] for w in ways])),
         seconds=np.array([path_seconds(model, w) for w in ways]),
         partner=n ^ 1,
         backward=n % 2 == 1,
