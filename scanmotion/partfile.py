@@ -61,7 +61,7 @@ def read_geometry(path: str | Path) -> RawGeometry:
         raw = reader(path.read_bytes())
     except PartError as error:
         raise PartError(str(error), path=str(path)) from None
-    except (ValueError, IndexError, KeyError, OverflowError, UnicodeDecodeError) as error:
+    except (ValueError, IndexError, KeyError, OverflowError, TypeError, UnicodeDecodeError) as error:
         raise PartError(f"is not a readable {suffix[1:].upper()} file ({error})", path=str(path)) from None
     except OSError as error:
         raise PartError(f"cannot be read ({error.strerror})", path=str(path)) from None
