@@ -1,10 +1,13 @@
 """What transit and timing share: the curve that a transit is driven on, its derivatives and the limits."""
 
+import functools
+
 import numpy as np
 
 from scanmotion.cell.kinematics import scanner_poses, tcp_jacobian
 from scanmotion.cell.plant import Cell
 from scanmotion.motion.profile import Derivatives, Limits, floor_seconds, parameter_grid
+from scanmotion.motion.scale import TimeLaw, fastest_law
 from scanmotion.motion.spline import JointSpline, spline_beside, subdivided
 
 
@@ -39,8 +42,18 @@ def derivatives_on(cell: Cell, path: JointSpline, *, spacing: float = 1.0) -> De
     return Derivatives(s=s, q1=path(s, 1), q2=path(s, 2), q3=path(s, 3), tcp=tcp)
 
 
-def seconds_along(cell: Cell, q: np.ndarray) -> float:
-    """How long a transit along the polyline `q` takes: the fastest without a jerk limit, plus ramps [s]."""
-    limits = transit_limits(cell)
-    path = transit_spline(cell, q)
-    return floor_seconds(derivatives_on(cell, path, spacing=3.0), limits) + float((limits.a / limits.j).max())
+def floor_along(cell: Cell, q: np.ndarray) -> float:
+    """About how long a transit along the polyline `q` (k, 7) takes where nothing limits the jerk [s]."""
+    return floor_seconds(derivatives_on(cell, transit_spline(cell, q), spacing=3.0), transit_limits(cell))
+
+
+def transit_law(cell: Cell, q: np.ndarray) -> tuple[JointSpline, TimeLaw]:
+    """The curve driven along the polyline `q` (k, 7), and its time law; remembered, for two stages ask."""
+    q = np.ascontiguousarray(q, dtype=float)
+    return _transit_law(cell, q.shape[0], q.tobytes())
+
+
+@functools.lru_cache(maxsize=512)
+def _transit_law(cell: Cell, k: int, data: bytes) -> tuple[JointSpline, TimeLaw]:
+    path = transit_spline(cell, np.frombuffer(data).reshape(k, 7))
+    return path, fastest_law(path, derivatives_on(cell, path), transit_limits(cell))

@@ -27,6 +27,8 @@ _CHECK_S = 0.002
 _LAST_CHECK_S = 0.001
 _ROUNDS = 5
 _BEYOND = 0.002
+_ENOUGH = 1.2
+"""Ramps of an S-curve cost about a / j; a law that costs little more is taken at once."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -107,8 +109,12 @@ def fastest_law(path: JointSpline, d: Derivatives, limits: Limits) -> TimeLaw:
         law = _jerk_limited(path, d, rate, limits, cap, windows, floor)
         if best is None or law.duration < best.duration:
             best = law
+        if best.duration <= floor + _ENOUGH * ramp:
+            break
     assert best is not None
-    last = _excess(path, d.tcp, best, limits, _LAST_CHECK_S)
+    fine = np.interp(np.arange(4 * len(d.s) - 3) / 4, np.arange(len(d.s)), d.s)
+    exact = d.tcp(fine)
+    last = _excess(path, lambda s: np.interp(s, fine, exact), best, limits, _LAST_CHECK_S)
     return _stretched(best, max(float(last.factor.max()) / (1 - MARGIN / 2), 1.0))
 
 

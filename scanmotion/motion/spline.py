@@ -35,8 +35,7 @@ def subdivided(
         step_rad: greatest joint step [rad].
         step_m: greatest step of the scanner, measured along its chord [m].
     """
-    steps = np.abs(np.diff(q, axis=0)).max(axis=1) / step_rad
-    steps = np.maximum(steps, np.linalg.norm(np.diff(p, axis=0), axis=1) / step_m)
+    steps = step_counts(q, p, step_rad=step_rad, step_m=step_m)
     counts = np.maximum(np.ceil(steps - 1e-6).astype(int), 1)
     if counts.sum() < _LEAST_SPANS:
         counts = np.maximum(counts, -(-_LEAST_SPANS // max(len(counts), 1)))
@@ -45,6 +44,28 @@ def subdivided(
     fraction = (np.arange(len(edge)) - first[edge]) / counts[edge]
     inner = q[edge] + fraction[:, None] * (q[edge + 1] - q[edge])
     return np.vstack([inner, q[-1:]])
+
+
+def step_counts(
+    q: np.ndarray, p: np.ndarray, *, step_rad: float = STEP_RAD, step_m: float = STEP_M
+) -> np.ndarray:
+    """How many steps each edge of the polyline is long, shape (k - 1,); arguments as for `subdivided`."""
+    steps = np.abs(np.diff(q, axis=0)).max(axis=1) / step_rad
+    return np.maximum(steps, np.linalg.norm(np.diff(p, axis=0), axis=1) / step_m)
+
+
+def evenly_spaced(
+    q: np.ndarray, p: np.ndarray, *, step_rad: float = STEP_RAD, step_m: float = STEP_M
+) -> np.ndarray:
+    """Points on the polyline at even distances, none longer than a step; corners between points are cut.
+
+    A spline's parameter then runs evenly, which a smooth law needs. Arguments as for `subdivided`.
+    """
+    place = np.concatenate([[0.0], np.cumsum(step_counts(q, p, step_rad=step_rad, step_m=step_m))])
+    at = np.linspace(0.0, place[-1], max(int(np.ceil(1.02 * place[-1])), _LEAST_SPANS) + 1)
+    out = np.column_stack([np.interp(at, place, column) for column in q.T])
+    out[0], out[-1] = q[0], q[-1]
+    return out
 
 
 def spline_beside(control: np.ndarray) -> JointSpline:

@@ -13,7 +13,7 @@ from scanmotion.cell.plant import Cell
 from scanmotion.motion.drive import positions, transit_limits
 from scanmotion.motion.profile import Limits
 from scanmotion.motion.scale import ruckig_law
-from scanmotion.motion.spline import STEP_M, STEP_RAD
+from scanmotion.motion.spline import STEP_M, STEP_RAD, step_counts
 from scanmotion.motion.tour import PathMethod
 
 _TABLE = 6
@@ -23,7 +23,8 @@ _JUMP = 4.0
 """A joint step this many times the greatest planned one means another branch of the arm."""
 _EASE = 0.9
 """Share of the table's acceleration and jerk that its turn plans with; the rest lets the arm's ramps in."""
-_STEP_S = 0.1
+_FINE = 1600
+_STEP_S = 0.15
 """Greatest time between points of a way on which the table turns [s]."""
 
 
@@ -38,12 +39,15 @@ def least_seconds(cell: Cell, qa: np.ndarray, qb: np.ndarray) -> np.ndarray:
 def ways(cell: Cell, qa: np.ndarray, qb: np.ndarray) -> list[tuple[PathMethod, np.ndarray]]:
     """Ways (method, polyline (k, 7)) from qa to qb, shape (7,), not yet checked for collisions."""
     found: list[tuple[PathMethod, np.ndarray]] = []
+    turns = abs(qb[_TABLE] - qa[_TABLE]) > 1e-9
     line = chord(cell, qa, qb)
     if line is not None:
         found.append(("line", with_table(cell, line)))
+        if turns:
+            found.append(("line", line))
     even = np.linspace(0.0, 1.0, _count(cell, np.array([qa, qb])) + 1)
     arm = qa + even[:, None] * (qb - qa)
-    if abs(qb[_TABLE] - qa[_TABLE]) > 1e-9:
+    if turns:
         found.append(("joint", with_table(cell, arm)))
     found.append(("joint", np.array([qa, qb], dtype=float)))
     return found
@@ -99,16 +103,21 @@ def with_table(cell: Cell, arm: np.ndarray) -> np.ndarray:
     arm_s = np.concatenate([[0.0], np.cumsum(steps)])
     table = ruckig_law(abs(turn), limits.v[_TABLE], _EASE * limits.a[_TABLE], _EASE * limits.j[_TABLE])
     total = max(arm_s[-1], table.duration)
-    fine = np.linspace(0.0, 1.0, 400)
+    fine = np.linspace(0.0, 1.0, _FINE)
     angle = np.sign(turn) * table(fine * table.duration)[:, 0]
     pace = arm_s[-1] * np.diff(fine) + np.abs(np.diff(angle)) / limits.v[_TABLE]
     place = np.concatenate([[0.0], np.cumsum(pace)])
-    count = max(len(arm) - 1, int(np.ceil(max(abs(turn) / STEP_RAD, total / _STEP_S))))
-    at = np.interp(np.linspace(0.0, place[-1], count + 1), place, fine)
-    q = np.column_stack([np.interp(at * arm_s[-1], arm_s, arm[:, k]) for k in range(_TABLE)])
-    q = np.column_stack([q, arm[0, _TABLE] + np.interp(at, fine, angle)])
-    q[0], q[-1] = arm[0], arm[-1]
-    return q
+    count = max(len(arm) - 1, int(np.ceil(total / _STEP_S)))
+    while True:
+        at = np.interp(np.linspace(0.0, place[-1], count + 1), place, fine)
+        q = np.column_stack([np.interp(at * arm_s[-1], arm_s, arm[:, k]) for k in range(_TABLE)])
+        q = np.column_stack([q, arm[0, _TABLE] + np.interp(at, fine, angle)])
+        q[0], q[-1] = arm[0], arm[-1]
+        steps = step_counts(q, positions(cell, q))
+        if steps.max() <= 1.0:
+            return q
+        # Evenly spaced points would be split unevenly later where a step is too long: take more of them.
+        count = int(np.ceil(count * max(float(steps.max()), 1.02)))
 
 
 def _axis_seconds(distance: np.ndarray, limits: Limits) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Timing: operations from rest to rest, inside the limits of every axis and of the scanner's speed.
 
-Transits follow a cubic B-spline beside their checked path (`transit_spline` is the curve that was checked)
+Transits follow a cubic B-spline beside their checked path (drive.py holds the curve that transit.py checked)
 with the law of scale.py. Sweeps and revolutions are driven by one path parameter with Ruckig's jerk-limited
 law (Berscheid and Kroeger 2021, arXiv:2105.04830), which never leaves the path.
 """
@@ -13,9 +13,9 @@ import numpy as np
 from scanmotion.cell.kinematics import scanner_in_object
 from scanmotion.cell.plant import Cell
 from scanmotion.errors import TimingError
-from scanmotion.motion.drive import derivatives_on, limits_of, transit_limits, transit_spline
+from scanmotion.motion.drive import limits_of, transit_law
 from scanmotion.motion.profile import MARGIN, parameter_grid
-from scanmotion.motion.scale import fastest_law, ruckig_law
+from scanmotion.motion.scale import ruckig_law
 from scanmotion.motion.spline import JointSpline, spline_beside, spline_through
 from scanmotion.motion.tour import Path, Stop, Tour
 from scanmotion.trajectory import Operation, OperationKind, Trajectory
@@ -95,9 +95,8 @@ def motions(cell: Cell, tour: Tour, paths: Sequence[Path]) -> Iterable[Motion]:
 
 def transit_motion(cell: Cell, q: np.ndarray, viewpoints: tuple[str, ...] = ()) -> Motion:
     """A transit along the polyline `q` (k, 7), as fast as the limits and the transit speed allow."""
-    path = transit_spline(cell, q)
+    path, law = transit_law(cell, q)
     _check_range(cell, path, viewpoints)
-    law = fastest_law(path, derivatives_on(cell, path), transit_limits(cell))
     return Motion(
         kind="transit", viewpoints=viewpoints, path=path, law=law, duration=law.duration, floor=law.floor
     )

@@ -14,17 +14,19 @@ from scanmotion.cell.clearance import Clearance
 from scanmotion.cell.kinematics import tcp_jacobian
 from scanmotion.cell.plant import Cell
 from scanmotion.errors import PathError
-from scanmotion.motion.drive import positions, seconds_along, transit_limits, transit_spline
+from scanmotion.motion.drive import floor_along, positions, transit_law, transit_limits, transit_spline
 from scanmotion.motion.roadmap import plan_round
-from scanmotion.motion.spline import STEP_M, STEP_RAD, subdivided
+from scanmotion.motion.spline import STEP_M, STEP_RAD, evenly_spaced, subdivided
 from scanmotion.motion.steer import chord, least_seconds, ways, with_table
-from scanmotion.motion.tour import Path, Tour
+from scanmotion.motion.tour import Path, PathMethod, Tour
 
 SAMPLES_PER_SPAN = 2
 """Checked points on the driven curve per span of its spline; their straight edges are stepped more finely."""
 _SLOW = 1.25
 """A free way this many times slower than the fastest imaginable is worth planning against."""
 _SLOW_S = 1.0
+_RAMPS = 0.8
+"""Least that ramps add to a way without a jerk limit, as a share of a / j."""
 _TRIES = 3
 _FEW_CHECKS = 1500
 _SHORTCUTS = 60
@@ -73,11 +75,8 @@ def transit(
 def _transit(cell: Cell, clearance: Clearance, qa: np.ndarray, qb: np.ndarray, seed: int, stop: int) -> Path:
     if np.abs(qb - qa).max() < 1e-9:
         return Path(q=np.array([qa, qb]), seconds=0.0, method="joint")
-    ranked = sorted(
-        (Path(q=q, seconds=seconds_along(cell, q), method=method) for method, q in ways(cell, qa, qb)),
-        key=lambda path: path.seconds,
-    )
-    direct = next((path for path in ranked if driven_free(cell, clearance, path.q)[0]), None)
+    candidates = ways(cell, qa, qb)
+    direct = _fastest_free(cell, clearance, candidates)
     least = float(least_seconds(cell, qa, qb)[0])
     if direct is not None and direct.seconds <= max(_SLOW * least, least + _SLOW_S):
         return direct
@@ -90,18 +89,34 @@ def _transit(cell: Cell, clearance: Clearance, qa: np.ndarray, qb: np.ndarray, s
             if planned.seconds <= _SLOW * least:
                 break
     if not found:
-        raise _blocked(cell, clearance, ranked[0].q, stop)
+        raise _blocked(cell, clearance, candidates[0][1], stop)
     return min(found, key=lambda path: path.seconds)
 
 
-def driven_free(
-    cell: Cell, clearance: Clearance, q: np.ndarray
-) -> tuple[bool, int | None, tuple[str, str] | None]:
-    """Whether the curve driven along the polyline `q` (k, 7) is free; else where and which bodies meet."""
+def _fastest_free(
+    cell: Cell, clearance: Clearance, candidates: list[tuple[PathMethod, np.ndarray]]
+) -> Path | None:
+    """The fastest of some ways that are free; None where none is."""
+    floors = [floor_along(cell, q) for _, q in candidates]
+    ramps = _RAMPS * float((cell.a_max / cell.j_max).max())
+    best: Path | None = None
+    for k in np.argsort(floors, kind="stable"):
+        method, q = candidates[k]
+        if best is not None and floors[k] + ramps >= best.seconds:
+            break
+        if driven_free(cell, clearance, q)[0]:
+            seconds = transit_law(cell, q)[1].duration
+            if best is None or seconds < best.seconds:
+                best = Path(q=q, seconds=seconds, method=method)
+    return best
+
+
+def driven_free(cell: Cell, clearance: Clearance, q: np.ndarray) -> tuple[bool, int, tuple[str, str]]:
+    """Whether the curve along the polyline `q` (k, 7) is free; else at which sample, which bodies."""
     path = transit_spline(cell, q)
     samples = path(np.linspace(0.0, path.end, SAMPLES_PER_SPAN * round(path.end) + 1))
     if (samples < cell.q_min).any() or (samples > cell.q_max).any():
-        return False, None, None
+        return False, 0, ("arm", "its range")
     return clearance.path_free(samples)
 
 
@@ -130,14 +145,10 @@ def _planned(
     if found is None:
         return None
     q = _shortened(cell, clearance, subdivided(found, positions(cell, found)), rng)
-    options = [
-        with_table(cell, q),
-        q,
-        subdivided(q, positions(cell, q), step_rad=STEP_RAD / 3, step_m=STEP_M / 3),
-    ]
-    free = [option for option in options if driven_free(cell, clearance, option)[0]]
-    timed = [Path(q=option, seconds=seconds_along(cell, option), method="planned") for option in free]
-    return min(timed, key=lambda path: path.seconds, default=None)
+    p = positions(cell, q)
+    options = [with_table(cell, q)]
+    options += [evenly_spaced(q, p, step_rad=STEP_RAD / k, step_m=STEP_M / k) for k in (1, 2, 4)]
+    return _fastest_free(cell, clearance, [("planned", option) for option in options])
 
 
 def _scale(cell: Cell, qa: np.ndarray, qb: np.ndarray) -> np.ndarray:
@@ -177,16 +188,11 @@ def _shortened(cell: Cell, clearance: Clearance, q: np.ndarray, rng: np.random.G
 
 
 def _blocked(cell: Cell, clearance: Clearance, q: np.ndarray, stop: int) -> PathError:
+    """The error for a way that is blocked, with the pair that is closest on its first blocked edge."""
     _, index, pair = driven_free(cell, clearance, q)
-    names = pair or ("", "")
-    depth = 0.0
-    if index is not None:
-        path = transit_spline(cell, q)
-        at = path(np.array([index / SAMPLES_PER_SPAN]))[0]
-        depth = float(cell.settings.process.clearance_m) - float(clearance.distance(at)[0])
-    return PathError(
-        f"{names[0]} and {names[1]} come {1000 * depth:.0f} mm too close on the way; no way round was found",
-        pair=names,
-        depth=depth,
-        stop=stop,
-    )
+    path = transit_spline(cell, q)
+    edge = path((index + np.linspace(0.0, 1.0, 5)) / SAMPLES_PER_SPAN)
+    near = min(float(clearance.distance(row)[0]) for row in edge)
+    depth = max(float(cell.settings.process.clearance_m) - near, 0.0)
+    text = f"{pair[0]} and {pair[1]} come {1000 * depth:.0f} mm too close on the way; no way round was found"
+    return PathError(text, pair=pair, depth=depth, stop=stop)
