@@ -88,7 +88,7 @@ def test_cell_init_overwrites_nothing(tmp_path):
 def test_viewpoints_of_the_papers_worked_example():
     result = run("viewpoints", "--box", 330, 200, 600, "--mode", "paper", "--json")
     assert result.exit_code == 0, result.output
-    found = json.loads(result.output)
+    found = json.loads(result.stdout)
     places = {v["id"]: np.array(v["X_OS"])[:3, 3] * 1e3 for v in found["viewpoints"]}
     expected = [(771.218, 0, 950), (865, 0, 300), (865, 0, 0)]
     for place in expected:
@@ -104,27 +104,62 @@ def test_viewpoints_are_written_and_read_back(tmp_path):
         assert out.stat().st_size > 100
 
 
-def test_holes_of_a_sheet_with_a_square_cut_out(tmp_path, rng):
+def test_holes_of_a_sheet_with_a_square_cut_out(tmp_path, rng, monkeypatch):
     points = rng.random((40_000, 2)) * 200 - 100
     inside = (np.abs(points) < 25).all(axis=1)
-    file = tmp_path / "sheet.xyz"
+    file, out = tmp_path / "sheet.xyz", tmp_path / "holes.json"
     sheet = points[~inside]
-    # Slightly curved: an exact plane has no side.
-    np.savetxt(file, np.column_stack([sheet, 0.001 * (sheet**2).sum(axis=1)]), fmt="%.4f")
-    result = run("holes", file, "--json")
+    # Slightly curved: an exact plane has no side. Off the origin: the answer is in the file's own frame.
+    place = np.array([300.0, -50.0, 20.0])
+    rows = np.column_stack([sheet, 0.001 * (sheet**2).sum(axis=1)]) + place
+    np.savetxt(file, rows, fmt="%.4f")
+    monkeypatch.chdir(tmp_path)
+    result = run("holes", file, "--out", out, "--show")
     assert result.exit_code == 0, result.output
-    holes = json.loads(result.output)["holes"]
-    near = [h for h in holes if np.hypot(*h["center_mm"][:2]) < 10 and max(h["extent_mm"]) < 80]
+    holes = json.loads(out.read_text())["holes"]
+    near = [h for h in holes if np.abs(np.array(h["center"]) - place).max() < 10 and max(h["extent"]) < 80]
     assert len(near) == 1
-    assert near[0]["extent_mm"][0] == pytest.approx(50, abs=6)
-    assert near[0]["extent_mm"][1] == pytest.approx(50, abs=6)
+    assert near[0]["extent"][:2] == pytest.approx([50, 50], abs=10)
+    rim = np.array(near[0]["boundary_points"]) - place
+    assert (np.abs(rim[:, :2]).max(axis=1) < 32).all() and (np.abs(rim[:, :2]).max(axis=1) > 22).all()
+    assert (tmp_path / "holes.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_holes_do_not_depend_on_the_unit(tmp_path, rng):
+    points = rng.random((20_000, 2)) * 200 - 100
+    keep = np.hypot(*points.T) > 30
+    rows = np.column_stack([points, 0.001 * (points**2).sum(axis=1)])[keep]
+    found = []
+    for name, scale in (("mm.xyz", 1.0), ("m.xyz", 1e-3)):
+        np.savetxt(tmp_path / name, rows * scale, fmt="%.9f")
+        result = run("holes", tmp_path / name, "--json")
+        assert result.exit_code == 0, result.output
+        found.append([np.array(h["extent"]) / scale for h in json.loads(result.stdout)["holes"]])
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-3)
 
 
 def test_reach_gives_configurations_or_a_cause():
     result = run("reach", "--box", 330, 200, 600, "--json")
     assert result.exit_code == 0, result.output
-    for item in json.loads(result.output):
+    for item in json.loads(result.stdout):
         assert (item["configurations"] > 0) == (item["unreachable"] is None)
+
+
+def test_reach_draws_a_map_and_counts(tmp_path):
+    picture = tmp_path / "map.png"
+    result = run("reach", "--box", 330, 200, 600, "--map", picture)
+    assert result.exit_code == 0, result.output
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    assert "viewpoints can be reached" in result.stdout
+
+
+@pytest.mark.slow
+def test_reach_sweep_says_where_to_put_the_robot():
+    result = run("reach", "--box", 330, 200, 600, "--sweep", "--json")
+    assert result.exit_code == 0, result.output
+    rows = json.loads(result.stdout)
+    assert len(rows) == 12 and all(0 <= row["share"] <= 1 for row in rows)
+    assert max(row["share"] for row in rows) > 0.5
 
 
 SUMMARY = {

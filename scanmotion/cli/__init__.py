@@ -1,10 +1,12 @@
 """The command line: `scanmotion COMMAND`; nothing heavy is imported before a command runs."""
 
 from scanmotion.cli.app import app
+from scanmotion.cli.arms import reach, robots
 from scanmotion.cli.cells import cell_app
+from scanmotion.cli.fusing import fuse
+from scanmotion.cli.geometry import holes, viewpoints
 from scanmotion.cli.looking import export, show, verify
 from scanmotion.cli.planning import compare, plan
-from scanmotion.cli.single import fuse, holes, reach, robots, viewpoints
 
 __all__ = ["app", "main"]
 
@@ -14,7 +16,7 @@ for _command, _panel, _example in (
     (show, "Plan", "scanmotion show out"),
     (export, "Plan", "scanmotion export out --to krl"),
     (compare, "Plan", "scanmotion compare --variant two-step --variant cad-slicing"),
-    (holes, "One stage alone", "scanmotion holes scan.ply"),
+    (holes, "One stage alone", "scanmotion holes scan.ply --out holes.json"),
     (viewpoints, "One stage alone", "scanmotion viewpoints --box 330 200 600 --out viewpoints.csv"),
     (reach, "One stage alone", "scanmotion reach --robot kr240 --box 330 200 600"),
     (fuse, "One stage alone", "scanmotion fuse turn1.ply turn2.ply --out fused.ply"),

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from scanmotion.cli.app import OK, print_table
-from scanmotion.cli.inputs import Robot
+from scanmotion.cli.inputs import Robot, write_text
 from scanmotion.errors import InputError
 
 cell_app = typer.Typer(
@@ -22,7 +22,6 @@ def init(
 ) -> int:
     """Write a commented YAML to start from."""
     from scanmotion.cell.config import cell_template
-    from scanmotion.cli.looking import write_text
 
     if file.exists():
         raise InputError(f"{file}: is there already; name another file")

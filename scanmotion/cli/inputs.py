@@ -56,6 +56,7 @@ CellFile = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Errors only.", rich_help_panel=OUT)]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.", rich_help_panel=OUT)]
+Mode = Annotated[str, typer.Option("--mode", help="default, or paper: the published formulas literally.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Same seed, same plan.")]
 
 
@@ -149,3 +150,33 @@ def check_mode(mode: str) -> None:
         InputError: with the known ones.
     """
     check_known("--mode", mode, ("default", "paper"))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes the whole file or none of it: to a temporary name, then renamed."""
+    import os
+    import tempfile
+
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def check_suffix(option: str, path: Path | None, *known: str) -> None:
+    """Refuses a file name that does not end as it should, or a folder that is not there.
+
+    Raises:
+        InputError: with the endings that are known.
+    """
+    if path is None:
+        return
+    if path.suffix not in known:
+        raise InputError(f"{option} {path}: must end in {' or '.join(known)}")
+    if not path.resolve().parent.is_dir():
+        raise InputError(f"{option} {path}: the folder {path.parent} does not exist")

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from scanmotion.cli.app import CHECK_FAILED, OK, print_table, progress_bar, say_json
-from scanmotion.cli.inputs import OUT, Json, Quiet
+from scanmotion.cli.inputs import OUT, Json, Quiet, write_text
 from scanmotion.errors import InputError
 
 Folder = Annotated[Path, typer.Argument(help="Folder that `scanmotion plan` wrote.")]
@@ -73,22 +73,6 @@ def _open(address: str) -> None:
     import webbrowser
 
     webbrowser.open(address)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Writes the whole file or none of it: to a temporary name, then renamed."""
-    import os
-    import tempfile
-
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 def export(

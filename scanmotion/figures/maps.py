@@ -65,11 +65,23 @@ def hole_figure(part: Any, report: Any) -> "Figure":
 
 
 def reach_figure(plan: Any) -> "Figure":
-    """Viewpoints round the part from above and from the side; colour says served, or why not."""
+    """Viewpoints of a plan round the part; colour says served, or why not."""
+    radius = plan.cell.settings.turntable.diameter_m / 2
+    return reach_map(plan.viewpoints, causes_of(plan), plan.part, radius)
+
+
+def reach_map(views: Any, causes: dict[str, str], part: Any, table_radius: float) -> "Figure":
+    """Viewpoints from above and from the side.
+
+    Args:
+        views: the viewpoints.
+        causes: for each id "served" or the cause for which it is left out.
+        part: what stands on the table, None for nothing.
+        table_radius: [m].
+    """
     figure = new_figure(10.0, 4.4)
     above, beside = figure.subplots(1, 2)
-    causes = causes_of(plan)
-    for view in plan.viewpoints:
+    for view in views:
         colour = palette.CAUSE_COLOURS[causes[view.id]]
         tip = view.p_OS + view.standoff * view.direction
         radius, tip_radius = np.hypot(*view.p_OS[:2]), np.hypot(*tip[:2])
@@ -80,7 +92,7 @@ def reach_figure(plan: Any) -> "Figure":
             ax.plot(x, y, marker="o" if view.kind == "revolution" else "s", ms=4, color=colour)
             ax.plot([x, x + 0.25 * dx], [y, y + 0.25 * dy], color=colour, lw=0.8)
             ax.annotate(view.id, (x, y), fontsize=6, textcoords="offset points", xytext=(3, 3))
-    _silhouette(above, beside, plan)
+    _silhouette(above, beside, part, table_radius)
     used = sorted(set(causes.values()), key=list(palette.CAUSE_COLOURS).index)
     _legend(figure, [(name.replace("_", " "), palette.CAUSE_COLOURS[name]) for name in used])
     return figure
@@ -97,11 +109,10 @@ def causes_of(plan: Any) -> dict[str, str]:
     return causes
 
 
-def _silhouette(above: "Axes", beside: "Axes", plan: Any) -> None:
-    points = plan.part.vertices[:: max(1, len(plan.part.vertices) // 4000)]
+def _silhouette(above: "Axes", beside: "Axes", part: Any, radius: float) -> None:
+    points = np.zeros((0, 3)) if part is None else part.vertices[:: max(1, len(part.vertices) // 4000)]
     above.plot(points[:, 0], points[:, 1], ",", color="#b0b0b0", zorder=0)
     beside.plot(np.hypot(points[:, 0], points[:, 1]), points[:, 2], ",", color="#b0b0b0", zorder=0)
-    radius = plan.cell.settings.turntable.diameter_m / 2
     turn = np.linspace(0.0, 2.0 * np.pi, 100)
     above.plot(radius * np.cos(turn), radius * np.sin(turn), color="#b0b0b0", lw=0.8)
     beside.plot([0.0, radius], [0.0, 0.0], color="#b0b0b0", lw=2.0)

@@ -1,0 +1,177 @@
+"""Commands about robots: `reach`, `robots`."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from scanmotion.cli.app import OK, Progress, print_table, progress_bar, say_json
+from scanmotion.cli.geometry import choose_viewpoints
+from scanmotion.cli.inputs import (
+    OUT,
+    PART,
+    Box,
+    CellFile,
+    Json,
+    PartFile,
+    Quiet,
+    Robot,
+    Units,
+    Up,
+    cell_from,
+    check_suffix,
+    only_one,
+    part_and_source,
+)
+from scanmotion.errors import InputError
+
+DISTANCES_M = (1.8, 2.0, 2.2, 2.4)
+HEIGHTS_M = (0.5, 0.7, 0.9)
+"""Base distance and table height that `reach --sweep` tries."""
+
+
+def reach(
+    robot: Robot = None,
+    cell: CellFile = None,
+    box: Box = None,
+    part: PartFile = None,
+    units: Units = "mm",
+    up: Up = "+z",
+    views: Annotated[
+        Path | None,
+        typer.Option(
+            "--viewpoints",
+            help="CSV or JSON of viewpoints; by default the global ones.",
+            rich_help_panel=PART,
+        ),
+    ] = None,
+    sweep: Annotated[
+        bool,
+        typer.Option("--sweep", help="Try other base distances and table heights: where to put the robot."),
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option("--map", help="Write a map of the viewpoints (PNG).", rich_help_panel=OUT)
+    ] = None,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> int:
+    """Say which viewpoints the robot can reach, in how many configurations, and why the others not."""
+    if only_one(box=box, part=part) is None and views is None:
+        raise InputError("give one of --box, --part, --viewpoints")
+    check_suffix("--map", picture, ".png")
+    settings = cell_from(robot, cell)
+    subject = None
+    if box is not None or part is not None:
+        subject, _ = part_and_source(part, box, None, units=units, up=up)
+    chosen = _views(views, subject, settings)
+    with progress_bar(quiet=quiet or json) as progress:
+        if sweep:
+            rows = sweep_rows(settings, subject, chosen, progress)
+        else:
+            found = find(settings, subject, chosen, progress)
+    if sweep:
+        _say_sweep(rows, quiet=quiet, json=json)
+        return OK
+    if picture is not None:
+        draw_reach(found, subject, settings, picture)
+    if json:
+        say_json([reach_record(r) for r in found])
+    elif not quiet:
+        header = ("viewpoint", "configurations", "clearance mm", "why not", "what would help")
+        print_table("Reach", header, [reach_row(r) for r in found])
+        typer.echo(f"{sum(r.unreachable is None for r in found)} of {len(found)} viewpoints can be reached")
+    return OK
+
+
+def find(settings: Any, subject: Any, views: tuple, progress: Progress) -> list:
+    """The reach of a cell for some viewpoints."""
+    from scanmotion.cell.plant import build_cell
+    from scanmotion.motion.reach import reach as find_reach
+
+    return find_reach(build_cell(settings, subject), views, progress=lambda f: progress("reach", f))
+
+
+def sweep_rows(settings: Any, subject: Any, views: tuple, progress: Progress) -> list[dict[str, float]]:
+    """Share of the viewpoints that can be reached, over the table's distance from the base and its height."""
+    rows, total = [], len(DISTANCES_M) * len(HEIGHTS_M)
+    for distance in DISTANCES_M:
+        for height in HEIGHTS_M:
+            progress("reach", len(rows) / total)
+            x, y, _ = settings.base.position_m
+            place = {"position_m": (x + distance, y), "height_m": height}
+            moved = settings.model_copy(update={"turntable": settings.turntable.model_copy(update=place)})
+            found = find(moved, subject, views, lambda stage, fraction: None)
+            share = sum(r.unreachable is None for r in found) / max(len(found), 1)
+            rows.append({"distance_m": distance, "height_m": height, "share": share})
+    return rows
+
+
+def _say_sweep(rows: list[dict[str, float]], *, quiet: bool, json: bool) -> None:
+    if json:
+        say_json(rows)
+    elif not quiet:
+        header = ("base to table m", *(f"table at {height} m" for height in HEIGHTS_M))
+        share = {(r["distance_m"], r["height_m"]): f"{r['share']:.0%}" for r in rows}
+        lines = [(f"{d}", *(share[d, h] for h in HEIGHTS_M)) for d in DISTANCES_M]
+        print_table("Share of the viewpoints that can be reached", header, lines)
+
+
+def draw_reach(found: list, subject: Any, settings: Any, path: Path) -> None:
+    """Writes a map of the viewpoints: served, or the cause why not."""
+    from scanmotion.figures.maps import reach_map
+
+    causes = {r.viewpoint.id: "served" if r.unreachable is None else r.unreachable.cause for r in found}
+    radius = settings.turntable.diameter_m / 2
+    reach_map([r.viewpoint for r in found], causes, subject, radius).savefig(path)
+
+
+def _views(path: Path | None, subject: Any, settings: Any) -> tuple:
+    if path is None:
+        return choose_viewpoints(subject, "box", settings, "default")[0]
+    from scanmotion.export.viewpoints import read_viewpoints
+
+    return tuple(read_viewpoints(path))
+
+
+def reach_record(item: Any) -> dict[str, Any]:
+    """What was found for one viewpoint, for JSON."""
+    lost = item.unreachable
+    return {
+        "id": item.viewpoint.id,
+        "configurations": len(item.q),
+        "clearance_mm": round(float(item.clearance.max()) * 1e3, 1) if len(item.q) else None,
+        "unreachable": None
+        if lost is None
+        else {"cause": lost.cause, "detail": lost.detail, "remedy": lost.remedy},
+    }
+
+
+def reach_row(item: Any) -> tuple[str, ...]:
+    """What was found for one viewpoint, as a row."""
+    record = reach_record(item)
+    lost = record["unreachable"]
+    clearance = "" if record["clearance_mm"] is None else f"{record['clearance_mm']:.0f}"
+    why = "" if lost is None else f"{lost['cause']}: {lost['detail']}"
+    remedy = "" if lost is None else lost["remedy"]
+    return (record["id"], str(record["configurations"]), clearance, why, remedy)
+
+
+def robot_record(name: str, settings: Any) -> dict[str, Any]:
+    """A built-in cell and the robot in it."""
+    from scanmotion.cell.plant import robot_facts
+
+    facts = robot_facts()[settings.robot.model]
+    return {"name": name} | {key: facts[key] for key in ("title", "reach_m", "payload_kg", "source")}
+
+
+def robots(json: Json = False) -> int:
+    """List the built-in robots and cells."""
+    from scanmotion.cell.config import builtin_cells, load_cell
+
+    records = [robot_record(name, load_cell(name)) for name in builtin_cells()]
+    if json:
+        say_json(records)
+        return OK
+    rows = [tuple(str(value) for value in record.values()) for record in records]
+    print_table("Built-in cells", ("name", "robot", "reach m", "payload kg", "numbers from"), rows)
+    return OK

@@ -1,0 +1,202 @@
+"""Commands that know no robot: `holes`, `viewpoints`."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from scanmotion.cli.app import OK, print_table, say_json
+from scanmotion.cli.inputs import (
+    OUT,
+    Box,
+    CellFile,
+    Json,
+    Mode,
+    PartFile,
+    Place,
+    Robot,
+    ScanFile,
+    Units,
+    Up,
+    cell_from,
+    check_mode,
+    check_suffix,
+    only_one,
+    part_and_source,
+    write_text,
+)
+from scanmotion.errors import InputError, PartError
+
+
+def holes(
+    file: Annotated[Path, typer.Argument(help="Cloud or mesh (PLY, STL, OBJ, PCD, XYZ).")],
+    units: Annotated[str, typer.Option("--units", help="Unit of the file; mm unless its size says m.")] = "",
+    up: Up = "+z",
+    mode: Mode = "default",
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Write them to a .json file, in the file's units.", rich_help_panel=OUT),
+    ] = None,
+    show: Annotated[
+        bool, typer.Option("--show", help="Write a picture of them (PNG) beside --out.", rich_help_panel=OUT)
+    ] = False,
+    json: Json = False,
+) -> int:
+    """Find the holes of a scan: boundary, clusters, size, kind."""
+    from scanmotion.viewpoints.holes import hole_report_to_json
+
+    check_mode(mode)
+    check_suffix("--out", out, ".json")
+    part = scan_from(file, units, up)
+    report = holes_of(part, mode)
+    document = hole_report_to_json(report, part)
+    if out is not None:
+        write_text(out, dumps(document))
+    if json:
+        say_json(document)
+    else:
+        print_table(f"Holes of {file.name}", HOLE_HEADER, hole_rows(report))
+    for note in report.notes:
+        typer.echo(note, err=True)
+    files = [out] if out is not None else []
+    if show:
+        files.append(draw_holes(part, report, (out or Path(file.name)).with_suffix(".png")))
+    if not json:
+        for written in files:
+            typer.echo(str(written))
+    return OK
+
+
+HOLE_HEADER = ("hole", "kind", "X' mm", "Y' mm", "Z' mm", "perimeter mm", "area mm2")
+
+
+def hole_rows(report: Any) -> list[tuple[str, ...]]:
+    """A row for each hole, largest first."""
+    rows = []
+    for number, hole in enumerate(report.holes, start=1):
+        sides = [f"{side * 1e3:.1f}" for side in hole.extent]
+        around = f"{hole.perimeter * 1e3:.0f}"
+        rows.append((f"H{number}", hole.kind, *sides, around, f"{hole.area * 1e6:.0f}"))
+    return rows
+
+
+def dumps(document: Any) -> str:
+    """JSON text that no reader refuses."""
+    import json
+
+    return json.dumps(document, allow_nan=False) + "\n"
+
+
+def scan_from(file: Path, units: str, up: str) -> Any:
+    """A scan whose unit need not be known: holes are found relative to the spacing of its points."""
+    from scanmotion.part import part_from_file
+
+    if units:
+        return part_from_file(file, units=units, up=up)
+    try:
+        return part_from_file(file, units="mm", up=up)
+    except PartError as in_mm:
+        if "--units" not in str(in_mm):
+            raise
+        try:
+            return part_from_file(file, units="m", up=up)
+        except PartError:
+            raise in_mm from None
+
+
+def holes_of(part: Any, mode: str) -> Any:
+    """The hole report of a mesh or a cloud."""
+    from scanmotion.viewpoints.holes import holes_from_cloud, holes_from_mesh
+
+    if part.is_mesh:
+        return holes_from_mesh(part.vertices, part.triangles, mode=mode)
+    return holes_from_cloud(part.vertices, normals=part.normals, mode=mode)  # pyright: ignore
+
+
+def draw_holes(part: Any, report: Any, path: Path) -> Path:
+    """Writes the hole map as PNG."""
+    from scanmotion.figures.maps import hole_figure
+
+    hole_figure(part, report).savefig(path)
+    return path
+
+
+def viewpoints(
+    box: Box = None,
+    part: PartFile = None,
+    scan: ScanFile = None,
+    units: Units = "mm",
+    up: Up = "+z",
+    place: Place = "",
+    robot: Robot = None,
+    cell: CellFile = None,
+    mode: Mode = "default",
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Write them to a .csv or .json file.", rich_help_panel=OUT)
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Choose viewpoints without a robot: the global ones of a box or mesh, or the local ones of a scan."""
+    check_mode(mode)
+    if only_one(box=box, part=part, scan=scan) is None:
+        raise InputError("give one of --box, --part, --scan")
+    check_suffix("--out", out, ".csv", ".json")
+    settings = cell_from(robot, cell)
+    subject, source = part_and_source(part, box, scan, units=units, up=up, place=place)
+    chosen, dropped = choose_viewpoints(subject, source, settings, mode)
+    if out is not None:
+        from scanmotion.export.viewpoints import write_viewpoints
+
+        write_viewpoints(chosen, out)
+    if json:
+        say_json({"viewpoints": [view_record(v) for v in chosen], "dropped": [list(d) for d in dropped]})
+        return OK
+    print_table("Viewpoints in the object frame", VIEW_HEADER, [view_row(v) for v in chosen])
+    if dropped:
+        print_table("Left out", ("viewpoint", "reason"), [(i, why) for i, why in dropped])
+    if out is not None:
+        typer.echo(str(out))
+    return OK
+
+
+def choose_viewpoints(subject: Any, source: str, settings: Any, mode: str) -> tuple[tuple, tuple]:
+    """Viewpoints and (id, reason) of those left out, for a box or mesh (global) or a scan (local)."""
+    standoff, scanner = settings.process.standoff_m, settings.scanner_model()
+    if source == "scan":
+        from scanmotion.viewpoints.local import local_viewpoints
+
+        report = holes_of(subject, mode)
+        return tuple(local_viewpoints(report.holes, scanner, standoff=standoff, mode=mode)), ()
+    from scanmotion.viewpoints.stepped_rotary import stepped_rotary
+
+    step = stepped_rotary(
+        *map(float, subject.extent),
+        scanner=scanner,
+        standoff=standoff,
+        mode=mode,
+        pedestal=settings.pedestal.height_m,
+    )
+    return tuple(step.viewpoints), tuple(step.dropped)
+
+
+VIEW_HEADER = ("viewpoint", "step", "kind", "x mm", "y mm", "z mm", "direction", "standoff mm")
+
+
+def view_row(view: Any) -> tuple[str, ...]:
+    """A viewpoint as a row of a table."""
+    position = [f"{v * 1e3:.1f}" for v in view.p_OS]
+    direction = " ".join(f"{v:+.3f}" for v in view.direction)
+    return (view.id, view.step, view.kind, *position, direction, f"{view.standoff * 1e3:.0f}")
+
+
+def view_record(view: Any) -> dict[str, Any]:
+    """A viewpoint for JSON; the pose in metres as in plan.json."""
+    return {
+        "id": view.id,
+        "step": view.step,
+        "kind": view.kind,
+        "sweep": view.sweep,
+        "standoff_m": view.standoff,
+        "X_OS": view.X_OS.tolist(),
+        "note": view.note,
+    }
