@@ -236,6 +236,16 @@ def sweep_path(scanner_poses, tcp_jacobian, cell, q, way, count=25):
     return np.array(rows)
 
 
+def test_scanner_speed_is_that_of_the_jacobian(kr240_cell, rng):
+    from scanmotion.cell.kinematics import tcp_jacobian
+    from scanmotion.motion.drive import positions, speeds
+
+    q, q1 = rng.uniform(LOW, HIGH, size=(50, 7)), rng.normal(size=(50, 7))
+    p1 = np.einsum("nij,nj->ni", tcp_jacobian(kr240_cell, q)[:, 3:], q1)
+    assert np.abs(speeds(kr240_cell, q, q1) - np.linalg.norm(p1, axis=1)).max() < 1e-12
+    assert np.abs(positions(kr240_cell, q) - scanner(kr240_cell, q)).max() < 1e-12
+
+
 @pytest.fixture(scope="module")
 def timed(kr240_cell):
     from scanmotion.motion.timing import time_plan

@@ -3,11 +3,12 @@
 import functools
 
 import numpy as np
+from numba import njit
 
-from scanmotion.cell.kinematics import scanner_poses, tcp_jacobian
 from scanmotion.cell.plant import Cell
 from scanmotion.motion.profile import Derivatives, Limits, floor_seconds, parameter_grid
 from scanmotion.motion.scale import TimeLaw, fastest_law
+from scanmotion.motion.seconds import MoveModel, move_model, scanner_positions
 from scanmotion.motion.spline import JointSpline, spline_beside, subdivided
 
 
@@ -22,8 +23,47 @@ def transit_limits(cell: Cell) -> Limits:
 
 
 def positions(cell: Cell, q: np.ndarray) -> np.ndarray:
-    """Origin of S in W, shape (n, 3) [m]."""
-    return scanner_poses(cell, q)[:, :3, 3]
+    """Origin of S in W for configurations (n, 7), shape (n, 3) [m]."""
+    return scanner_positions(_model(cell), q)
+
+
+def speeds(cell: Cell, q: np.ndarray, q1: np.ndarray) -> np.ndarray:
+    """Speed of S in W, shape (n,), for configurations and joint speeds (n, 7)."""
+    model = _model(cell)
+    return _speeds(model.axes, model.points, model.p_WS, q, q1)
+
+
+@functools.lru_cache(maxsize=8)
+def _model(cell: Cell) -> MoveModel:
+    return move_model(cell)
+
+
+@njit(cache=True)
+def _speeds(axes: np.ndarray, points: np.ndarray, p: np.ndarray, q: np.ndarray, q1: np.ndarray) -> np.ndarray:
+    """From the scanner back to the base: each joint turns place and velocity, then adds its own."""
+    out = np.empty(len(q))
+    for n in range(len(q)):
+        x, y, z = p[0], p[1], p[2]
+        u, v, w = 0.0, 0.0, 0.0
+        for i in range(5, -1, -1):
+            a, b, c = axes[i]
+            x, y, z = x - points[i, 0], y - points[i, 1], z - points[i, 2]
+            cos, sin = np.cos(q[n, i]), np.sin(q[n, i])
+            d = (a * x + b * y + c * z) * (1.0 - cos)
+            e = (a * u + b * v + c * w) * (1.0 - cos)
+            x, y, z = (
+                cos * x + sin * (b * z - c * y) + d * a,
+                cos * y + sin * (c * x - a * z) + d * b,
+                cos * z + sin * (a * y - b * x) + d * c,
+            )
+            u, v, w = (
+                cos * u + sin * (b * w - c * v) + e * a + q1[n, i] * (b * z - c * y),
+                cos * v + sin * (c * u - a * w) + e * b + q1[n, i] * (c * x - a * z),
+                cos * w + sin * (a * v - b * u) + e * c + q1[n, i] * (a * y - b * x),
+            )
+            x, y, z = x + points[i, 0], y + points[i, 1], z + points[i, 2]
+        out[n] = np.sqrt(u * u + v * v + w * w)
+    return out
 
 
 def transit_spline(cell: Cell, q: np.ndarray) -> JointSpline:
@@ -36,8 +76,7 @@ def derivatives_on(cell: Cell, path: JointSpline, *, spacing: float = 1.0) -> De
     s = parameter_grid(path, spacing=spacing)
 
     def tcp(s: np.ndarray) -> np.ndarray:
-        J = tcp_jacobian(cell, path(s))[:, 3:]
-        return np.linalg.norm(np.einsum("nij,nj->ni", J, path(s, 1)), axis=1)
+        return speeds(cell, path(s), path(s, 1))
 
     return Derivatives(s=s, q1=path(s, 1), q2=path(s, 2), q3=path(s, 3), tcp=tcp)
 

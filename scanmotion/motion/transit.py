@@ -31,6 +31,9 @@ _TRIES = 3
 _FEW_CHECKS = 1500
 _SHORTCUTS = 60
 _ROOM_RAD = 0.8
+_EXACT_STEP_M = 0.008
+_BEYOND_SCANNER_M = 0.3
+"""What of scanner and arm lies further from an axis than the scanner's origin does [m]."""
 _EDGE_S = 3.0
 
 
@@ -112,12 +115,50 @@ def _fastest_free(
 
 
 def driven_free(cell: Cell, clearance: Clearance, q: np.ndarray) -> tuple[bool, int, tuple[str, str]]:
-    """Whether the curve along the polyline `q` (k, 7) is free; else at which sample, which bodies."""
+    """Whether the curve along the polyline `q` (k, 7) is free; else at which sample, which bodies.
+
+    Edges between samples that the fast tier refuses are judged by the exact one, in small steps.
+    """
     path = transit_spline(cell, q)
     samples = path(np.linspace(0.0, path.end, SAMPLES_PER_SPAN * round(path.end) + 1))
     if (samples < cell.q_min).any() or (samples > cell.q_max).any():
         return False, 0, ("arm", "its range")
-    return clearance.path_free(samples)
+    free, k, pair = clearance.path_free(samples)
+    if free:
+        return True, -1, ("", "")
+    blocked = np.flatnonzero(~clearance.free(samples))
+    if len(blocked):
+        return False, max(int(blocked[0]) - 1, 0), clearance.distance(samples[blocked[0]])[1]
+    first = 0
+    while not free:
+        if not _exactly_free(cell, clearance, samples[first + k], samples[first + k + 1]):
+            return False, first + k, pair
+        first += k + 1
+        if first >= len(samples) - 1:
+            break
+        free, k, pair = clearance.path_free(samples[first:])
+    return True, -1, ("", "")
+
+
+def _exactly_free(cell: Cell, clearance: Clearance, qa: np.ndarray, qb: np.ndarray) -> bool:
+    """Whether configurations on the straight edge, in steps of a few millimetres, are free."""
+    reach = np.linalg.norm(tcp_jacobian(cell, np.array([qa, qb]))[:, 3:], axis=1).max(axis=0)
+    reach += _BEYOND_SCANNER_M
+    reach[6] = cell.settings.turntable.diameter_m / 2
+    count = int(np.ceil(float(np.abs(qb - qa) @ reach) / _EXACT_STEP_M)) + 1
+    return bool(clearance.free(qa + np.linspace(0.0, 1.0, count + 1)[:, None] * (qb - qa)).all())
+
+
+def _way_out(cell: Cell, clearance: Clearance, q: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
+    """A configuration near q, shape (7,), that the fast tier calls free, with a free edge to it; or None."""
+    if clearance.fast_free(q[None])[0]:
+        return q
+    for radius in _ROOM_RAD * np.array([0.05, 0.1, 0.2, 0.4]):
+        around = np.clip(q + radius * rng.uniform(-1.0, 1.0, size=(64, 7)), cell.q_min, cell.q_max)
+        for near in around[clearance.fast_free(around)][:4]:
+            if _exactly_free(cell, clearance, q, near):
+                return near
+    return None
 
 
 def _planned(
@@ -132,11 +173,14 @@ def _planned(
     room = _ROOM_RAD * (1 + attempt)
     lower = np.maximum(np.minimum(qa, qb) - room, cell.q_min)
     upper = np.minimum(np.maximum(qa, qb) + room, cell.q_max)
+    start, goal = _way_out(cell, clearance, qa, rng), _way_out(cell, clearance, qb, rng)
+    if start is None or goal is None:
+        return None
     found = plan_round(
         lambda a, b: bool(clearance.edges_free(a[None], b[None])[0]),
-        lambda q: bool(clearance.free(q[None])[0]),
-        (qa, qb),
-        (lower, upper),
+        lambda q: bool(clearance.fast_free(q[None])[0]),
+        (start, goal),
+        (np.minimum(lower, np.minimum(start, goal)), np.maximum(upper, np.maximum(start, goal))),
         scale=_scale(cell, qa, qb),
         reach=_EDGE_S,
         seed=int(rng.integers(1, 2**31 - 1)),
@@ -144,6 +188,8 @@ def _planned(
     )
     if found is None:
         return None
+    found = np.vstack([qa[None], found, qb[None]])
+    found = found[np.concatenate([[True], np.abs(np.diff(found, axis=0)).max(axis=1) > 0.0])]
     q = _shortened(cell, clearance, subdivided(found, positions(cell, found)), rng)
     p = positions(cell, q)
     options = [with_table(cell, q)]
