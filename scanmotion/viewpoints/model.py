@@ -1,0 +1,186 @@
+"""A closed model of what has been scanned: the surface that the data show, and a smooth guess at the holes.
+
+The indicator function of the solid is found from the oriented points by Poisson's equation (Kazhdan, Bolitho
+and Hoppe 2006, "Poisson surface reconstruction"), here on a regular grid by the fast cosine transform: the
+answer is the same to the last bit every time, which Open3D's octree solver does not promise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.spatial import cKDTree
+
+from scanmotion.errors import HoleError
+
+_MAX_CELLS = 160
+"""Greatest number of grid cells along the longest side."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ClosedModel:
+    """A watertight surface, and how far each of its triangles lies from the data."""
+
+    vertices: np.ndarray
+    """Shape (n, 3) in O [m]."""
+    triangles: np.ndarray
+    """Counter-clockwise from outside, shape (m, 3)."""
+    distance: np.ndarray
+    """From each triangle's centre to the nearest scanned point, shape (m,) [m]."""
+    cell: float
+    """Edge of the grid's cells [m]."""
+
+    @property
+    def centres(self) -> np.ndarray:
+        """Triangle centres, shape (m, 3) [m]."""
+        return self.vertices[self.triangles].mean(axis=1)
+
+    @property
+    def crosses(self) -> np.ndarray:
+        """Outward normals of the triangles, as long as twice their area, shape (m, 3) [m2]."""
+        a, b, c = (self.vertices[self.triangles[:, i]] for i in range(3))
+        return np.cross(b - a, c - a)
+
+
+def closed_model(
+    points: np.ndarray, normals: np.ndarray, *, spacing: float, table_z: float | None = 0.0
+) -> ClosedModel:
+    """Closes a scanned cloud.
+
+    Args:
+        points: shape (n, 3) in O [m].
+        normals: outward unit normals, shape (n, 3).
+        spacing: of the points [m].
+        table_z: nothing is solid below this height, because the part stands there [m]; None for no table.
+
+    Raises:
+        HoleError: too few points for a surface.
+    """
+    if len(points) < 50:
+        raise HoleError(f"{len(points)} points are too few to close a surface; at least 50 are needed")
+    low, high = points.min(axis=0), points.max(axis=0)
+    cell = max(2.0 * spacing, float((high - low).max()) / _MAX_CELLS)
+    pad = 8
+    origin = low - pad * cell
+    shape = tuple(int(n) for n in np.ceil((high - low) / cell).astype(int) + 2 * pad + 1)
+    chi = _indicator(points, normals, origin, cell, shape)
+    if table_z is not None:
+        below = origin[2] + cell * np.arange(shape[2]) < table_z
+        chi[:, :, below] = np.minimum(chi[:, :, below], -0.5 * np.abs(chi).mean())
+    vertices, triangles = surface_nets(-without_pinches(chi))
+    vertices = origin + cell * vertices
+    vertices, triangles = _pieces_with_data(vertices, triangles, points, cell)
+    if len(triangles) == 0:
+        raise HoleError("the cloud does not bound a solid; are its normals turned outward?")
+    distance, _ = cKDTree(points).query(vertices[triangles].mean(axis=1))
+    return ClosedModel(vertices=vertices, triangles=triangles, distance=distance, cell=cell)
+
+
+def _indicator(
+    points: np.ndarray, normals: np.ndarray, origin: np.ndarray, cell: float, shape: tuple[int, ...]
+) -> np.ndarray:
+    """Smoothed indicator on the grid, above zero inside, zero at the points on average."""
+    # One vote per cell: the density of the points must not weigh.
+    at = (points - origin) / cell
+    index = np.ravel_multi_index(tuple(np.round(at).astype(int).T), shape)
+    used, inverse, count = np.unique(index, return_inverse=True, return_counts=True)
+    field = np.zeros((3, int(np.prod(shape))))
+    for axis in range(3):
+        field[axis, used] = np.bincount(inverse, weights=normals[:, axis]) / count
+    divergence = np.zeros(shape)
+    for axis in range(3):
+        smooth = gaussian_filter(field[axis].reshape(shape), 1.0)
+        divergence -= np.gradient(smooth, axis=axis)
+    # Cosine transform: the flux through the grid's sides is zero.
+    spectrum = fft.dctn(divergence, type=2, norm="ortho")
+    laplace = sum(
+        (2 * np.cos(np.pi * np.arange(n) / n) - 2).reshape([-1 if a == axis else 1 for a in range(3)])
+        for axis, n in enumerate(shape)
+    )
+    laplace = np.asarray(laplace)
+    laplace[0, 0, 0] = 1.0
+    spectrum = spectrum / laplace
+    spectrum[0, 0, 0] = 0.0
+    chi = fft.idctn(spectrum, type=2, norm="ortho")
+    level = np.median(map_coordinates(chi, at[:: max(1, len(at) // 50_000)].T, order=1))
+    return chi - level
+
+
+def without_pinches(values: np.ndarray) -> np.ndarray:
+    """Fills grid faces whose signs alternate like a chessboard: there two sheets would share an edge.
+
+    Positive is inside.
+    """
+    values = values.copy()
+    for _ in range(64):
+        changed = 0
+        for u, v in ((0, 1), (1, 2), (2, 0)):
+            w = np.moveaxis(values, (u, v), (0, 1))  # a view: writing to it writes to values
+            corners = (w[:-1, :-1], w[1:, :-1], w[:-1, 1:], w[1:, 1:])
+            inside = [c > 0 for c in corners]
+            bad = (inside[0] == inside[3]) & (inside[1] == inside[2]) & (inside[0] != inside[1])
+            changed += int(bad.sum())
+            for corner, solid in zip(corners, inside, strict=True):
+                corner[bad & ~solid] = 1e-9
+        if not changed:
+            break
+    return values
+
+
+def surface_nets(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Dual surface of a grid's zero level (negative inside).
+
+    Returns:
+        vertices in grid units, shape (n, 3); outward triangles, shape (m, 3).
+    """
+    n = np.array(values.shape) - 1
+    sums, counts = np.zeros((*n, 3)), np.zeros(tuple(n))
+    for a in np.ndindex(2, 2, 2):
+        for axis in range(3):
+            if a[axis]:
+                continue
+            b = tuple(a[i] + (i == axis) for i in range(3))
+            va, vb = (values[tuple(slice(c[i], c[i] + n[i]) for i in range(3))] for c in (a, b))
+            cut = (va < 0) != (vb < 0)
+            where = np.nonzero(cut)
+            point = np.tile(np.array(a, float), (len(where[0]), 1))
+            point[:, axis] += va[where] / (va[where] - vb[where])
+            sums[where] += point
+            counts[where] += 1
+    used = counts > 0
+    index = np.full(used.shape, -1)
+    index[used] = np.arange(used.sum())
+    vertices = np.argwhere(used) + sums[used] / counts[used][:, None]
+    inside, triangles = values < 0, []
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        low = np.take(inside, range(values.shape[axis] - 1), axis=axis)
+        high = np.take(inside, range(1, values.shape[axis]), axis=axis)
+        cells = np.argwhere(low != high)
+        cells = cells[(cells[:, u] > 0) & (cells[:, v] > 0) & (cells[:, u] < n[u]) & (cells[:, v] < n[v])]
+        eu, ev = np.eye(3, dtype=int)[u], np.eye(3, dtype=int)[v]
+        corners = [index[tuple((cells - du * eu - dv * ev).T)] for du, dv in ((1, 1), (0, 1), (0, 0), (1, 0))]
+        quad = np.stack(corners, axis=1)
+        quad = np.where(low[tuple(cells.T)][:, None], quad, quad[:, ::-1])
+        triangles += [quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]
+    return vertices, np.concatenate(triangles)
+
+
+def _pieces_with_data(
+    vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, cell: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Drops what floats free of all data: the smooth field has bubbles of its own."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    if len(triangles) == 0:
+        return vertices, triangles
+    i, j = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    graph = coo_array((np.ones(len(i)), (i, j)), shape=(len(vertices),) * 2)
+    _, piece = connected_components(graph, directed=False)
+    near = cKDTree(points).query(vertices, distance_upper_bound=1.5 * cell)[0] < np.inf
+    share = np.bincount(piece, weights=near) / np.bincount(piece)
+    keep = (share > 0.3)[piece]
+    rank = np.cumsum(keep) - 1
+    return vertices[keep], rank[triangles[keep[triangles[:, 0]]]]
