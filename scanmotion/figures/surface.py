@@ -125,11 +125,22 @@ def _splat(part: Part, view: View) -> Picture:
             top[cell], index[cell] = height[winners], winners
     index, top = index[1:-1, 1:-1], top[1:-1, 1:-1]
     hit = index >= 0
-    normals = part.normals if part.normals is not None else np.broadcast_to(view.toward, part.vertices.shape)
     chosen = index[hit]
+    normals = _relief_normals(top, hit, view) if part.normals is None else part.normals[chosen]
     return Picture(
-        view=view, hit=hit, points=part.vertices[chosen], normals=_facing(normals[chosen], view), height=top
+        view=view, hit=hit, points=part.vertices[chosen], normals=_facing(normals, view), height=top
     )
+
+
+def _relief_normals(height: np.ndarray, hit: np.ndarray, view: View) -> np.ndarray:
+    """Normals of the hit pixels from the slope of their smoothed heights, shape (k, 3)."""
+    from scipy.ndimage import gaussian_filter
+
+    weight = gaussian_filter(hit.astype(float), 1.5)
+    smooth = gaussian_filter(np.where(hit, height, 0.0), 1.5) / np.maximum(weight, 1e-9)
+    down, right = np.gradient(smooth, view.scale)
+    normals = view.toward - right[hit][:, None] * view.right + down[hit][:, None] * view.up
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def _facing(normals: np.ndarray, view: View) -> np.ndarray:
