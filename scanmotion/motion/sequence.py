@@ -30,17 +30,18 @@ _ORDERS = TourOptions(population=30, generations=60, bound_rounds=0)
 class SequenceOptions:
     """How hard to search; every number counts work, none counts seconds."""
 
-    states: int = 1200
+    states: int = 1600
     """Configurations in the search at once, over all stops."""
     most_per_stop: int = 40
     """Greatest number of configurations of one stop in the search at once."""
-    rounds: int = 6
-    """Greatest number of searches, each over the configurations that suit the order of the one before."""
+    rounds: int = 8
+    """Greatest number of searches, each over the configurations that suit the order of the one before; the
+    first that gains nothing is followed by searches over twice as many. Fewer are made of over 75 stops."""
     population: int = 6
     """Orders kept by the genetic algorithm."""
     generations: int = 12
     """Children made in each round."""
-    effort: int = 40_000_000
+    effort: int = 20_000_000
     """Places tried when stops are taken out and put back, in each round over all children."""
     orders: TourOptions = _ORDERS
     """Search for the order that starts each round."""
@@ -184,11 +185,15 @@ def _fastest_order(
     between: list[Between] = [(start_q, None)] * len(groups)
     order, best = np.arange(len(groups)), np.inf
     result: tuple[list[Group], list[int], list[int]] = (groups, [], [])
-    for _ in range(options.rounds):
-        few = [thinned(g, model, per_stop, *b) for g, b in zip(groups, between, strict=True)]
+    width = 1
+    for _ in range(int(np.clip(600 // len(groups), min(3, options.rounds), options.rounds))):
+        few = [thinned(g, model, width * per_stop, *b) for g, b in zip(groups, between, strict=True)]
         order, states, cost, first = _searched(model, few, start_q, order, rng, options)
         if cost >= best - 1e-3:
-            break
+            if width > 1:
+                break
+            width, order = 2, np.array(result[1])
+            continue
         ways = [int(s - first[g]) for g, s in zip(order, states, strict=True)]
         best, result = cost, (few, [int(g) for g in order], ways)
         between = _neighbours(result, start_q)
@@ -247,7 +252,7 @@ def _seeds(
     rng: np.random.Generator,
     options: SequenceOptions,
 ) -> np.ndarray:
-    """First orders: the best so far, the tour over the least costs between groups, and random ones."""
+    """First orders: the best so far, the tour over the least costs between groups, and shuffles of that."""
     m = len(stage)
     least = np.minimum.reduceat(np.minimum.reduceat(C, first[:-1], axis=0), first[:-1], axis=1)
     depot = np.zeros((m + 1, m + 1))
@@ -258,6 +263,8 @@ def _seeds(
     tour = tour_from_cost(depot, closed=True, start=m, rng=rng, options=options.orders).order[1:]
     seeds = [order, tour[np.argsort(stage[tour], kind="stable")]]
     while len(seeds) < options.population:
-        shuffled = rng.permutation(m)
+        # Few stops are shuffled one by one; of many, long stretches stay whole.
+        a, b = np.sort(rng.integers(0, m + 1, 2))
+        shuffled = rng.permutation(m) if m <= 12 else np.concatenate([tour[a:b], tour[b:], tour[:a]])
         seeds.append(shuffled[np.argsort(stage[shuffled], kind="stable")])
     return np.array(seeds[: max(options.population, 1)], dtype=np.int64)

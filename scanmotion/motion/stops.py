@@ -23,10 +23,10 @@ _REVOLUTION_ARMS = 60
 """Greatest number of arm configurations of one revolution."""
 _TABLE_RAD = 0.1
 """Table angles nearer than this are taken for one when ways are chosen [rad]."""
-_ANGLES = 0.6
-"""Share of a group's ways that are the cheapest of their table angle."""
+_CLASSES = 0.6
+"""Share of a group's ways that are the cheapest of their table angle, or of their arm for a revolution."""
 _CHEAP = 0.85
-"""Share that is chosen by cost, the cheapest of their table angle among them."""
+"""Share that is chosen by cost, these among them."""
 _APART_S = 0.1
 """Ways nearer to each other than this are taken for one [s]."""
 
@@ -159,16 +159,32 @@ def thinned(
     drawn = most if group.kind == "dwell" else most // 2
     chosen = np.zeros(0, dtype=np.int64)
     if before is not None or after is not None:
-        cost = np.zeros(len(features))
-        cost += move_matrix(model, before, group.enter)[0] if before is not None else 0.0
-        cost += move_matrix(model, group.leave, after)[:, 0] if after is not None else 0.0
-        order = np.argsort(cost, kind="stable")
-        table = np.round(np.column_stack([group.enter.q[order, 6], group.leave.q[order, 6]]) / _TABLE_RAD)
-        _, firsts = np.unique(table, axis=0, return_index=True)
-        chosen = order[np.sort(firsts)][: int(_ANGLES * drawn)]
+        order = _by_cost(group, model, before, after)
+        # What must not be missing: every table angle, or for a revolution, which may start at any, every arm.
+        enter = group.enter.q[order]
+        if group.kind == "revolution":
+            classes = np.round(enter[:, :6] / _TABLE_RAD)
+        else:
+            classes = np.round(np.column_stack([enter[:, 6], group.leave.q[order, 6]]) / _TABLE_RAD)
+        _, firsts = np.unique(classes, axis=0, return_index=True)
+        chosen = order[np.sort(firsts)][: int(_CLASSES * drawn)]
         chosen = cheapest_apart(features, order, chosen, _APART_S, int(_CHEAP * drawn))
     chosen = most_different(features, chosen, drawn)
     return group.only(np.array(sorted({w for way in chosen for w in _both(group, int(way))})))
+
+
+def _by_cost(
+    group: Group, model: MoveModel, before: np.ndarray | None, after: np.ndarray | None
+) -> np.ndarray:
+    """Ways by the seconds of getting there and on; among equals those first that turn the table least."""
+    cost, turned = np.zeros(len(group)), np.zeros(len(group))
+    if before is not None:
+        cost += move_matrix(model, before, group.enter)[0]
+        turned += np.abs(group.enter.q[:, 6] - before[6])
+    if after is not None:
+        cost += move_matrix(model, group.leave, after)[:, 0]
+        turned += np.abs(group.leave.q[:, 6] - after[6])
+    return np.lexsort((turned, np.round(cost, 3)))
 
 
 def _both(group: Group, way: int) -> tuple[int, ...]:
