@@ -38,7 +38,7 @@ def _viewpoint(name, azimuth, height, *, kind="station", step="local", sweep="",
 
 
 def _reach(cell, viewpoint, *, angles=18, most=60):
-    """Configurations without regard to collisions: table angles and two rolls, spread evenly over the list."""
+    """Configurations without regard to collisions: table angles and two rolls, evenly thinned."""
     rows, poses = [], []
     for e1 in np.linspace(-np.pi, np.pi, angles, endpoint=False):
         for roll in (0.0, np.pi):
@@ -276,7 +276,7 @@ def test_moves_take_no_less_than_any_limit_allows(kr240_cell):
     d = np.abs(qb - qa)
     way = np.linalg.norm(scanner_positions(model, qb) - scanner_positions(model, qa), axis=1)
     assert (seconds >= way / model.transit_speed).all()
-    assert (seconds >= (d / model.v + np.minimum(model.v / model.a, 0)).max(axis=1)).all()
+    assert (seconds >= (d / model.v).max(axis=1)).all()
     assert np.allclose(seconds, move_seconds(model, qb, qa))
     assert np.allclose(np.diag(move_matrix(model, qa, qb)), seconds)
     assert (edge_seconds(kr240_cell, qa, qa) == 0.0).all()
@@ -347,9 +347,9 @@ def test_order_floor_never_passes_brute_force(kr240_cell, seed, ascend):
     ends = _ends(model, points, stages=np.array([-1, 0, 0, 1, 1, 1]), free=(1, 2))
     pair = floor_module.least_pair_seconds(model, ends)
     best = min(
-        sum(pair[a, b] for a, b in zip((0, *g, *l), (*g, *l), strict=False))
+        sum(pair[a, b] for a, b in zip((0, *g, *h), (*g, *h), strict=False))
         for g in permutations((1, 2))
-        for l in permutations((3, 4, 5))
+        for h in permutations((3, 4, 5))
     )
     before = floor_module.EXACT_UP_TO
     try:
