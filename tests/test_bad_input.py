@@ -82,6 +82,8 @@ FILES = {
     "null.yaml": b"process: null\n",
     "bad.csv": b"not,viewpoints\n1,2\n",
     "bad.json": b"{",
+    "empty.json": b'{"scans": {}}',
+    "sheared.json": b'{"scans": {"good.ply": {"T_object_scan": [2,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}}}',
     "a_file": b"x",
 }
 """What each file of the folder that the cases run in holds."""
@@ -196,6 +198,9 @@ CASES = {
     "reach of no file": "reach --viewpoints nowhere.csv",
     "fuse nothing": "fuse --out fused.ply",
     "fuse a missing scan": "fuse nowhere.ply --out fused.ply",
+    "fuse with bad poses": "fuse good.ply --poses bad.json --out fused.ply",
+    "fuse with empty poses": "fuse good.ply --poses empty.json --out fused.ply",
+    "fuse with sheared poses": "fuse good.ply --poses sheared.json --out fused.ply",
     "fuse into a strange file": "fuse good.ply --out fused.step",
     "fuse with no voxels": "fuse good.ply --out fused.ply --voxel 0",
     "compare an unknown variant": "compare --variant magic",

@@ -138,6 +138,36 @@ def test_holes_do_not_depend_on_the_unit(tmp_path, rng):
     np.testing.assert_allclose(found[0], found[1], rtol=1e-3)
 
 
+def test_fuse_brings_posed_scans_into_one_frame(tmp_path, rng):
+    from scanmotion.part import part_from_file
+
+    # Two halves of a bowl, each in a frame of its own.
+    disc = rng.random((30_000, 2)) * 200 - 100
+    disc = disc[np.hypot(*disc.T) < 100]
+    bowl = np.column_stack([disc, 0.004 * (disc**2).sum(axis=1) + 30])
+    angle = np.deg2rad(40)
+    X = np.eye(4)
+    X[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    X[:3, 3] = 15, -7, 300
+    poses = {"a.xyz": X.tolist(), "b.xyz": np.eye(4).tolist()}
+    for name, half in (("a.xyz", bowl[bowl[:, 0] < 10]), ("b.xyz", bowl[bowl[:, 0] > -10])):
+        own = np.linalg.inv(poses[name])
+        np.savetxt(tmp_path / name, half @ own[:3, :3].T + own[:3, 3], fmt="%.5f")
+    up = {"nominal_view_direction": [0, 0, -1]}
+    record = {"scans": {name: {"T_object_scan": pose} | up for name, pose in poses.items()}}
+    (tmp_path / "poses.json").write_text(json.dumps(record))
+    out = tmp_path / "fused.ply"
+    result = run("fuse", tmp_path, "--poses", tmp_path / "poses.json", "--out", out)
+    assert result.exit_code == 0, result.output
+    fused = part_from_file(out, place="keep")
+    x, y, z = fused.vertices.T * 1e3
+    np.testing.assert_allclose(z, 0.004 * (x**2 + y**2) + 30, atol=0.05)
+    assert np.hypot(x, y).max() > 97 and x.min() < -95 and x.max() > 95
+    slope = np.column_stack([-0.008 * x, -0.008 * y, np.ones(len(x))])
+    slope /= np.linalg.norm(slope, axis=1, keepdims=True)
+    assert np.median((slope * fused.normals).sum(axis=1)) > 0.999
+
+
 def test_reach_gives_configurations_or_a_cause():
     result = run("reach", "--box", 330, 200, 600, "--json")
     assert result.exit_code == 0, result.output
@@ -194,7 +224,7 @@ def test_findings_read_as_lines():
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
-    from scanmotion.cli.looking import write_text
+    from scanmotion.cli.inputs import write_text
 
     file = tmp_path / "scene.html"
     write_text(file, "old")

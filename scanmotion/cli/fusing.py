@@ -1,40 +1,143 @@
 """`scanmotion fuse`: measured scans into one."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from scanmotion.cli.app import OK, progress_bar
-from scanmotion.cli.inputs import OUT, Quiet, Seed, Units
+from scanmotion.cli.inputs import OUT, Quiet, Units, check_suffix
 from scanmotion.errors import InputError
+
+SUFFIXES = (".ply", ".pcd", ".xyz", ".stl", ".obj")
 
 
 def fuse(
-    files: Annotated[list[Path], typer.Argument(help="Measured scans in the table's frame.")],
-    out: Annotated[Path, typer.Option("--out", help="Fused cloud or surface, PLY.", rich_help_panel=OUT)],
+    scans: Annotated[list[Path], typer.Argument(help="Measured scans, or a folder of them.")],
+    out: Annotated[Path, typer.Option("--out", help="Fused cloud or surface, PLY, mm.", rich_help_panel=OUT)],
     units: Units = "mm",
+    poses: Annotated[
+        Path | None,
+        typer.Option("--poses", help='JSON: {"scans": {FILE: {"T_object_scan": 4 x 4}}}, file units.'),
+    ] = None,
     voxel: Annotated[float, typer.Option("--voxel", help="Edge of the cloud's voxels [mm].")] = 2.0,
-    register: Annotated[
-        bool, typer.Option("--register/--no-register", help="Align the scans to one another first.")
-    ] = True,
-    surface: Annotated[bool, typer.Option("--surface", help="Write a triangle mesh, not a cloud.")] = False,
-    seed: Seed = 0,
     quiet: Quiet = False,
 ) -> int:
-    """Merge measured scans into one cloud or surface."""
-    from scanmotion.scan.files import fuse_files
+    """Merge measured scans into one cloud.
 
-    if out.suffix != ".ply":
-        raise InputError(f"--out {out}: must end in .ply")
+    Scans without poses are taken to be in the table's frame already.
+    """
+    check_suffix("--out", out, ".ply")
     if not 0.05 <= voxel <= 100.0:
         raise InputError(f"--voxel {voxel:g}: must lie between 0.05 and 100 mm")
+    files = scan_files(scans)
+    known = read_poses(poses, files) if poses is not None else {}
     with progress_bar(quiet=quiet) as progress:
-        lines = fuse_files(
-            files, out, units=units, voxel=voxel * 1e-3, align=register, surface=surface, seed=seed,
-            progress=progress,
-        )  # fmt: skip
+        raw = raw_points(files, known, units, progress)
+        from scanmotion.scan.fuse import fuse_points
+
+        progress("fuse", 0.5)
+        cloud = fuse_points(raw, voxel=voxel * 1e-3)
+    write_cloud(out, cloud)
     if not quiet:
-        for line in lines:
-            typer.echo(line)
+        typer.echo(f"{len(raw.points)} points of {len(files)} scans -> {len(cloud)} points")
+        typer.echo(str(out))
     return OK
+
+
+def scan_files(paths: list[Path]) -> list[Path]:
+    """The files named, and those in the folders named, in the order of their names.
+
+    Raises:
+        InputError: a folder without a scan.
+    """
+    files = []
+    for path in paths:
+        inside = sorted(p for p in path.iterdir() if p.suffix in SUFFIXES) if path.is_dir() else [path]
+        if not inside:
+            raise InputError(f"{path}: no scan in this folder; known: {', '.join(SUFFIXES)}")
+        files += inside
+    return files
+
+
+def read_poses(path: Path, files: list[Path]) -> dict[str, Any]:
+    """The record of each file in a pose file, its pose as an array.
+
+    Raises:
+        InputError: unreadable, a file without a pose, or a pose that is no rigid motion.
+    """
+    import json
+
+    import numpy as np
+
+    try:
+        scans = json.loads(path.read_text(encoding="utf-8"))["scans"]
+        records = {file.name: dict(scans[file.name]) for file in files}
+        for record in records.values():
+            record["T_object_scan"] = np.array(record["T_object_scan"], dtype=float).reshape(4, 4)
+    except (ValueError, TypeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: is not a pose file ({str(error)[:120]})") from None
+    except KeyError as error:
+        raise InputError(f"{path}: holds no {error}") from None
+    for name, record in records.items():
+        R = record["T_object_scan"][:3, :3]
+        if not np.allclose(R @ R.T, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0:
+            raise InputError(f"{path}: the pose of {name} is no rigid motion")
+    return records
+
+
+def raw_points(files: list[Path], poses: dict[str, Any], units: str, progress: Any) -> Any:
+    """All points in one frame, with where each scan was seen from.
+
+    A pose file may give the viewing direction of a scan; without it the scan's own origin is the camera, and
+    without a pose the side that the scan's normals, or its flat side, show.
+    """
+    import numpy as np
+
+    from scanmotion.part import UNITS, part_from_file
+    from scanmotion.scan.fuse import RawPoints
+
+    points, cameras = [], []
+    for number, file in enumerate(files):
+        progress("load", number / len(files))
+        part = part_from_file(file, units=units)
+        record, X_FO = poses.get(file.name), np.linalg.inv(part.X_OI)  # pyright: ignore
+        p = (part.vertices @ X_FO[:3, :3].T + X_FO[:3, 3]) * UNITS[units]
+        camera = p.mean(axis=0) + _seen_from(part, p)
+        if record is not None:
+            X = record["T_object_scan"]
+            p = p @ X[:3, :3].T + X[:3, 3] * UNITS[units]
+            camera = X[:3, 3] * UNITS[units]
+            if "nominal_view_direction" in record:
+                camera = p.mean(axis=0) - np.array(record["nominal_view_direction"], dtype=float)
+        points.append(p)
+        cameras.append(camera)
+    frame = np.repeat(np.arange(len(points), dtype=np.int32), [len(p) for p in points])
+    joined = np.concatenate(points).astype(np.float32)
+    sigma = np.ones(len(joined), np.float32)
+    return RawPoints(points=joined, frame=frame, cameras=np.array(cameras), sigma=sigma)
+
+
+def _seen_from(part: Any, points: Any) -> Any:
+    """A metre towards the side that a scan shows, shape (3,)."""
+    import numpy as np
+
+    if part.normals is not None:
+        mean = part.normals.mean(axis=0)
+        if np.linalg.norm(mean) > 0.05:
+            return mean / np.linalg.norm(mean)
+    centred = points - points.mean(axis=0)
+    return np.linalg.eigh(centred.T @ centred)[1][:, 0]
+
+
+def write_cloud(path: Path, cloud: Any) -> None:
+    """A cloud with normals as binary PLY in mm, whole or not at all."""
+    import numpy as np
+
+    from scanmotion.cli.inputs import write_bytes
+
+    names = ("x", "y", "z", "nx", "ny", "nz")
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(cloud.points)}"]
+    head += [f"property float {name}" for name in names] + ["end_header\n"]
+    rows = np.hstack([cloud.points * 1e3, cloud.normals]).astype("<f4")
+    write_bytes(path, "\n".join(head).encode() + rows.tobytes())

@@ -153,14 +153,19 @@ def check_mode(mode: str) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
+    """Writes the whole file or none of it."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
     """Writes the whole file or none of it: to a temporary name, then renamed."""
     import os
     import tempfile
 
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
         os.chmod(name, 0o644)
         os.replace(name, path)
     except BaseException:
