@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
 from scanmotion.scanner import Scanner
 
@@ -22,6 +23,8 @@ class Scene:
     """Open3D RaycastingScene."""
     table_z: float
     """Height of the table's top in O [m]; the scanner stays above it. -inf without a table."""
+    outline: np.ndarray | None = None
+    """Corners of the surface's convex hull, shape (h, 3): rays past it cannot hit; None where not known."""
 
 
 def scene_from(
@@ -53,7 +56,22 @@ def scene_from(
         raycaster.add_triangles(
             np.ascontiguousarray(v, dtype=np.float32), np.ascontiguousarray(t, dtype=np.uint32)
         )
-    return Scene(raycaster=raycaster, table_z=table_z if table_radius is not None else -np.inf)
+    return Scene(
+        raycaster=raycaster,
+        table_z=table_z if table_radius is not None else -np.inf,
+        outline=_outline(np.asarray(vertices, dtype=float)),
+    )
+
+
+def _outline(vertices: np.ndarray) -> np.ndarray:
+    """Corners of the convex hull; of the box where all lie in one plane."""
+    try:
+        return vertices[ConvexHull(vertices).vertices]
+    except QhullError:
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        return np.array(
+            [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+        )
 
 
 def _ring(radius: float, z: float, n: int = 96) -> np.ndarray:

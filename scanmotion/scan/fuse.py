@@ -1,0 +1,136 @@
+"""Fusion: all scans in one frame -> one cloud with normals, on the surface that the raw points agree on."""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from scanmotion.errors import InputError
+from scanmotion.scan.simulate import Scan
+from scanmotion.scan.voxels import averaged, fitted, grouped
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Cloud:
+    """A fused scan: one point per occupied voxel."""
+
+    points: np.ndarray
+    """Shape (n, 3) [m]."""
+    normals: np.ndarray
+    """Outward unit normals, shape (n, 3)."""
+    view_directions: np.ndarray
+    """Mean unit vector from the point to the cameras that saw it, shape (n, 3)."""
+    counts: np.ndarray
+    """Raw points in the voxel, shape (n,)."""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RawPoints:
+    """Measured points of many frames in one frame of reference."""
+
+    points: np.ndarray
+    """Shape (n, 3) [m]."""
+    frame: np.ndarray
+    """Index into `cameras`, shape (n,)."""
+    cameras: np.ndarray
+    """Where each frame was seen from, shape (f, 3) [m]."""
+    sigma: np.ndarray
+    """Expected standard deviation of each point, up to one common factor, shape (n,) [m]."""
+
+
+def fuse(scans: Sequence[Scan], *, voxel: float = 0.002, radius: float | None = None) -> Cloud:
+    """Merges scans that are expressed in one frame.
+
+    Raw points are grouped by voxels. Each voxel's mean is moved along the normal onto a quadratic surface
+    fitted through the raw points within `radius`, weighted by distance and 1 / sigma^2 with Tukey's robust
+    weights: the mean alone lies inside of curved surfaces.
+
+    Args:
+        scans: of `simulate`, or read from files.
+        voxel: edge [m].
+        radius: of the fit [m]; None for one voxel.
+
+    Raises:
+        InputError: no points, or the voxel is not a positive number.
+    """
+    return fuse_points(joined_points(scans), voxel=voxel, radius=radius)
+
+
+def joined_points(scans: Sequence[Scan]) -> RawPoints:
+    """The raw points of several scans with the noise that is to be expected of each, by its depth.
+
+    Raises:
+        InputError: no scans.
+    """
+    if not scans:
+        raise InputError("no scans to fuse")
+    first = np.cumsum([0, *(len(s.captures) for s in scans)])
+    points = _stacked([s.points_O for s in scans])
+    frame = _stacked([s.frame + np.int32(o) for s, o in zip(scans, first, strict=False)])
+    depth = _stacked([s.depth for s in scans])
+    cameras = _stacked([s.captures.X_OS[:, :3, 3] for s in scans])
+    return RawPoints(points=points, frame=frame, cameras=cameras, sigma=expected_sigma(depth))
+
+
+def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
+    """Joins without a copy where there is one only."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+def expected_sigma(depth: np.ndarray) -> np.ndarray:
+    """Standard deviation of a point by its depth, method.md section 6, at normal incidence [m]."""
+    return np.hypot(0.05e-3 * (depth / 0.4) ** 2, 1.5e-4 * depth).astype(np.float32)
+
+
+def fuse_points(raw: RawPoints, *, voxel: float = 0.002, radius: float | None = None) -> Cloud:
+    """As `fuse`, for raw points of any origin.
+
+    Raises:
+        InputError: no points, or the voxel is not a positive number.
+    """
+    if not np.isfinite(voxel) or voxel <= 0:
+        raise InputError(f"voxel {voxel:g} m: a positive length is expected")
+    if len(raw.points) == 0:
+        raise InputError("no points to fuse")
+    low, shape = _grid(raw.points, voxel)
+    unique, start, order = grouped(raw.points, low, voxel, shape)
+    mean, view = averaged(raw.points, raw.frame, raw.cameras, start, order)
+    points, normals, misfit = _fitted(
+        raw, unique, shape, start, order, mean, view, min(radius or voxel, voxel)
+    )
+    counts = np.diff(start)
+    keep = np.logical_not((misfit < 0) & (counts < 2))
+    return Cloud(points=points[keep], normals=normals[keep], view_directions=view[keep], counts=counts[keep])
+
+
+def _fitted(
+    raw: RawPoints, unique: np.ndarray, shape: np.ndarray, start: np.ndarray, order: np.ndarray,
+    mean: np.ndarray, view: np.ndarray, radius: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Runs the compiled fit on threads; each voxel is fitted for itself, so their number changes nothing."""
+    points, normals, misfit = mean.copy(), np.empty_like(mean), np.empty(len(mean))
+    ends = np.linspace(0, len(mean), 9).astype(int)
+
+    def one(first: int, last: int) -> None:
+        fitted(
+            first, last, radius, raw.points, raw.frame, raw.cameras, raw.sigma, unique, shape, start, order,
+            view, points, normals, misfit,
+        )  # fmt: skip
+
+    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+        list(pool.map(one, ends[:-1], ends[1:]))
+    return points, normals, misfit
+
+
+def _grid(points: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray]:
+    """Corner and cells of the grid: its planes are multiples of the voxel, whatever the points' extent."""
+    low = np.floor(points.min(axis=0) / voxel - 0.5)
+    cells = np.floor(points.max(axis=0) / voxel).astype(np.int64) - low.astype(np.int64) + 2
+    if (cells > 2_000_000).any():
+        raise InputError(f"voxel {voxel:g} m is too small for a cloud of {np.ptp(points, axis=0).max():g} m")
+    return low.astype(np.float64) * voxel, cells
