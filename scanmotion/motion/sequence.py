@@ -13,14 +13,22 @@ from scanmotion.motion.floor import floor_seconds
 from scanmotion.motion.layers import search
 from scanmotion.motion.paper_order import paper_order
 from scanmotion.motion.seconds import MoveModel, joined, move_matrix, move_model, stop_seconds
-from scanmotion.motion.stops import Group, PathFree, dwell_group, natural, revolution_group, stage_of, thinned
+from scanmotion.motion.stops import (
+    Group,
+    PathFree,
+    Reach,
+    dwell_group,
+    natural,
+    revolution_group,
+    stage_of,
+    thinned,
+)
 from scanmotion.motion.sweeps import straight_runs, sweep_group
 from scanmotion.motion.tour import Stop, Tour
 from scanmotion.motion.tsp import TourOptions, tour_from_cost
 
 if TYPE_CHECKING:
     from scanmotion.cell.plant import Cell
-    from scanmotion.motion.reach import Reach
 
 
 _ORDERS = TourOptions(population=30, generations=60, bound_rounds=0)

@@ -5,16 +5,37 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from scanmotion.motion.layers import cheapest_apart, most_different
 from scanmotion.motion.seconds import MoveModel, Placed, move_matrix, placed, revolution_seconds
 from scanmotion.motion.tour import StopKind
+from scanmotion.viewpoints.viewpoint import Viewpoint
 
-if TYPE_CHECKING:
-    from scanmotion.motion.reach import Reach
+
+class Reach(Protocol):
+    """What the order needs to know of a viewpoint's reach (motion/reach.py makes it)."""
+
+    @property
+    def viewpoint(self) -> Viewpoint: ...
+
+    @property
+    def q(self) -> np.ndarray:
+        """Collision-free configurations, shape (k, 7) [rad]."""
+        ...
+
+    @property
+    def X_OS(self) -> np.ndarray:
+        """The scanner's pose in O that each gives, shape (k, 4, 4)."""
+        ...
+
+    @property
+    def unreachable(self) -> object | None:
+        """The reason why there are none."""
+        ...
+
 
 PathFree = Callable[[np.ndarray], tuple]
 """Whether a joint path (k, 7) is clear, as the first item of what is returned (Clearance.path_free)."""

@@ -10,11 +10,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from scanmotion.motion.seconds import MoveModel, path_seconds, placed
-from scanmotion.motion.stops import Group, PathFree, spread, stage_of, windings
+from scanmotion.motion.stops import Group, PathFree, Reach, spread, stage_of, windings
 
 if TYPE_CHECKING:
     from scanmotion.cell.plant import Cell
-    from scanmotion.motion.reach import Reach
 
 STEP_M = 0.02
 """Greatest distance of neighbouring poses of a sweep [m]."""
