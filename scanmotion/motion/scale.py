@@ -24,9 +24,11 @@ from scanmotion.motion.profile import (
 from scanmotion.motion.spline import JointSpline
 
 _CHECK_S = 0.002
-_LAST_CHECK_S = 0.001
+_LAST_CHECK_S = 0.0005
 _ROUNDS = 5
 _BEYOND = 0.002
+_JERK_SHARE = 0.997
+"""Jerk is less smooth between the checked instants than the others and needs more of a margin."""
 _ENOUGH = 1.2
 """Ramps of an S-curve cost about a / j; a law that costs little more is taken at once."""
 
@@ -105,7 +107,7 @@ def fastest_law(path: JointSpline, d: Derivatives, limits: Limits) -> TimeLaw:
     ramp = float((limits.a / limits.j).max())
     best: TimeLaw | None = None
     for share in (1.0, 1.6, 0.6):
-        windows = (1.03 * share * ramp, 0.05 * share * ramp)
+        windows = (1.03 * share * ramp, 0.08 * share * ramp)
         law = _jerk_limited(path, d, rate, limits, cap, windows, floor)
         if best is None or law.duration < best.duration:
             best = law
@@ -217,7 +219,7 @@ def _excess(
     tcp = rate(s[:, 0]) * s1[:, 0]
     v = np.maximum((np.abs(q1 * s1) / limits.v).max(axis=1), tcp / limits.tcp)
     a = (np.abs(q2 * s1**2 + q1 * s2) / limits.a).max(axis=1)
-    jerk = np.abs(q3 * s1**3 + 3 * q2 * s1 * s2 + q1 * s3) / limits.j
+    jerk = np.abs(q3 * s1**3 + 3 * q2 * s1 * s2 + q1 * s3) / (_JERK_SHARE * limits.j)
     worst = jerk.argmax(axis=1)[:, None]
     j, even = (np.take_along_axis(k, worst, axis=1)[:, 0] for k in (jerk, np.abs(q3 * s1**3) / limits.j))
     factor = np.maximum(np.maximum(v, np.sqrt(a)), np.cbrt(j))
