@@ -9,11 +9,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit
-from scipy.spatial import cKDTree
 
 from scanmotion.errors import HoleError
 from scanmotion.viewpoints.boundary import check_points, check_unit, neighbour_radius
+from scanmotion.viewpoints.clouds import even_samples, prepared
 from scanmotion.viewpoints.literal import literal_rims
 from scanmotion.viewpoints.loops import (
     Kind,
@@ -27,7 +26,7 @@ from scanmotion.viewpoints.loops import (
 )
 from scanmotion.viewpoints.meshloops import MeshLoops, mesh_loops
 from scanmotion.viewpoints.orient import signs_by_spanning_tree
-from scanmotion.viewpoints.rims import Rim, Sampling, rims_of, sampling_of
+from scanmotion.viewpoints.rims import Rim, Sampling, rims_of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,6 +89,7 @@ def holes_from_cloud(
     eps: float | None = None,
     min_points: int | None = None,
     min_size: float | None = None,
+    voxel: float | None = None,
 ) -> HoleReport:
     """Finds the holes of a scanned surface.
 
@@ -104,6 +104,8 @@ def holes_from_cloud(
             0.75 at 45 deg.
         min_points: points that make a core of DBSCAN, paper's way; 5.
         min_size: perimeter under which a hole is tiny [m]; by default the missing samples decide.
+        voxel: side of the cubes in which the points are averaged first [m]; 0 for never; by default only
+            where the pitch is uneven, as in overlapping range scans.
 
     Returns:
         Holes, largest perimeter first, and notes that say why there are none.
@@ -116,19 +118,15 @@ def holes_from_cloud(
     literal = mode == "paper" or threshold is not None or eps is not None or min_points is not None
     number = 45 if mode == "paper" else 30
     points = check_points(points, number + 1)
-    kept, notes = _distinct(points)
-    cloud = points[kept]
-    if len(cloud) <= number:
-        raise HoleError(
-            f"{len(cloud)} distinct points are fewer than the {number + 1} that a neighbourhood needs"
-        )
-    if np.linalg.matrix_rank(cloud - cloud.mean(axis=0), tol=1e-9 * np.ptp(cloud, axis=0).max()) < 2:
-        return _nothing(len(points), radius or 0.0, (*notes, "all points lie on one line: no surface"))
     directions = (
         None if view_directions is None else check_unit(view_directions, len(points), "view directions")
     )
-    given = None if normals is None else check_unit(normals, len(points), "normals")
-    sampling = sampling_of(cloud)
+    if directions is None and normals is not None:
+        directions = check_unit(normals, len(points), "normals")
+    cloud = prepared(points, directions, number + 1, voxel, literal)
+    if isinstance(cloud, str):
+        return _nothing(len(points), radius or 0.0, (cloud,))
+    sampling, notes = cloud.sampling, cloud.notes
     if radius is None:
         radius = neighbour_radius(sampling.tree, number)
     if literal:
@@ -136,20 +134,12 @@ def holes_from_cloud(
         rims, tiny = literal_rims(sampling, radius, angle, eps, min_points)
     else:
         rims, tiny = rims_of(sampling)
-    toward = directions if directions is not None else given
-    if toward is None and (rims or tiny):
+    if directions is None and (rims or tiny):
         notes = (*notes, "normals were oriented by a spanning tree: no view directions given")
-    out = _out_of(sampling, None if toward is None else toward[kept]) if rims or tiny else sampling.normals
-    holes = [_hole_from_rim(cloud, out, rim, kept) for rim in rims + tiny]
+    out = _out_of(sampling, cloud.directions) if rims or tiny else sampling.normals
+    holes = [_hole_from_rim(sampling.points, out, rim, cloud.first) for rim in rims + tiny]
     small = [i >= len(rims) if min_size is None else h.perimeter < min_size for i, h in enumerate(holes)]
     return _report(holes, small, len(points), radius, notes)
-
-
-def _distinct(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Indices of the points without their exact copies, and a note on those."""
-    kept = np.sort(np.unique(points, axis=0, return_index=True)[1])
-    doubles = len(points) - len(kept)
-    return kept, ((f"{doubles} duplicate points were left out",) if doubles else ())
 
 
 def _nothing(n: int, radius: float, notes: tuple[str, ...]) -> HoleReport:
@@ -342,45 +332,3 @@ def _as_json(hole: Hole, X_IO: np.ndarray, scale: float) -> dict[str, Any]:
         "perimeter": hole.perimeter * scale,
         "area": hole.area * scale**2,
     }
-
-
-def even_samples(
-    vertices: np.ndarray, triangles: np.ndarray, spacing: float, *, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points spread evenly over a mesh: random by area, then thinned so that none are closer than `spacing`.
-
-    Args:
-        vertices: shape (n, 3) [m]. triangles: shape (m, 3). spacing: least distance [m].
-
-    Returns:
-        Points and the normals of their triangles, each (k, 3).
-    """
-    corner = vertices[triangles]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    twice = np.linalg.norm(normal, axis=1)
-    count = int(np.ceil(6.0 * 0.5 * twice.sum() / spacing**2))
-    pick = rng.choice(len(triangles), count, p=twice / twice.sum())
-    a, b = np.sqrt(rng.random(count)), rng.random(count)
-    weight = np.stack([1.0 - a, a * (1.0 - b), a * b], axis=1)
-    points = np.einsum("ij,ijk->ik", weight, corner[pick])
-    unit = normal[pick] / twice[pick, None]
-    kept = thinned(points, unit, spacing)
-    return points[kept], unit[kept]
-
-
-def thinned(points: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:
-    """Indices of points kept in order, none closer than `spacing` to one before it on the same side."""
-    pairs = cKDTree(points).query_pairs(spacing, output_type="ndarray")
-    pairs = pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > 0.0]
-    order = np.argsort(pairs[:, 1], kind="stable")
-    later, earlier = pairs[order, 1], pairs[order, 0]
-    kept = np.ones(len(points), bool)
-    _thin(kept, earlier, later)
-    return np.flatnonzero(kept)
-
-
-@njit(cache=True)
-def _thin(kept, earlier, later):
-    for k in range(len(later)):
-        if kept[earlier[k]]:
-            kept[later[k]] = False

@@ -120,18 +120,18 @@ def vector_area(loop: np.ndarray) -> np.ndarray:
     return 0.5 * np.cross(centred, np.roll(centred, -1, axis=0)).sum(axis=0)
 
 
-def compactness(loop: np.ndarray) -> float:
-    """4 pi area / perimeter^2: 1 for a circle, near 0 for a slit or a ragged loop."""
-    length = loop_length(loop)
-    return float(4.0 * np.pi * np.linalg.norm(vector_area(loop)) / length**2) if length > 0 else 0.0
-
-
 def roundness(loop: np.ndarray) -> float:
     """Radius of the largest circle inside the loop's shadow against that of the circle of equal area.
 
     1 for a circle, 0.89 for a square, 0.89 sqrt(w / l) for a slot of sides w < l. A ragged rim, as of a mesh,
     changes it little.
     """
+    area = float(np.linalg.norm(vector_area(loop)))
+    return inscribed_radius(loop) / np.sqrt(area / np.pi) if area > 0 else 0.0
+
+
+def inscribed_radius(loop: np.ndarray) -> float:
+    """Radius of the largest circle inside the largest shadow of a closed polygon, shape (k, 3) [m]."""
     vector = vector_area(loop)
     area = float(np.linalg.norm(vector))
     if area <= 1e-12 * loop_length(loop) ** 2:
@@ -142,9 +142,7 @@ def roundness(loop: np.ndarray) -> float:
     ticks = (np.arange(_GRID) + 0.5) / _GRID
     grid = low + np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 2) * (high - low)
     inside = winding(plane, grid) != 0
-    if not inside.any():
-        return 0.0
-    return float(_edge_distance(plane, grid[inside]).max() / np.sqrt(area / np.pi))
+    return float(_edge_distance(plane, grid[inside]).max(initial=0.0))
 
 
 def winding(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:

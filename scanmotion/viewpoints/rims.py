@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.viewpoints.boundary import plane_fits
-from scanmotion.viewpoints.loops import compactness, facing, ordered_loop
-from scanmotion.viewpoints.voids import cell_radii, rim_set
+from scanmotion.viewpoints.loops import facing, inscribed_radius, ordered_loop
+from scanmotion.viewpoints.voids import RimSet, cell_radii, rim_set
 
 NEIGHBOURS = 24
 FIT = 16
@@ -29,12 +29,10 @@ TINY = 8.0
 """Samples missing in a gap that is worth a word."""
 OPEN = 1.24
 """Median radius of the empty discs at a rim against the least that counts: thinned patches reach 1.19."""
+CORE = 40.0
+"""Samples missing at the wide discs of a frayed rim."""
 ROUND = 0.85
 """Points of a rim against the circle round as many missing samples."""
-COMPACT = 0.3
-"""4 pi area / perimeter^2 of a rim that looks outwards (the open end of a sheet) and is not merely a line."""
-SPARSE = 1.15
-"""Pitch of a rim's surrounding against that of the wider surface, over which the patch is merely thin."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -103,14 +101,31 @@ def rims_of(sampling: Sampling, *, missing: float = MISSING) -> tuple[list[Rim],
     found = rim_set(sampling.tree, sampling.normals, suspects, sampling.unit, least=least, weak=weak)
     order = np.argsort(found.label, kind="stable")
     groups = np.split(order, np.cumsum(np.bincount(found.label))[:-1])
-    rims = [
-        Rim(points=found.points[g], opening=found.opening[g], missing=float(found.missing[label]))
-        for label, g in enumerate(groups)
-        if found.missing[label] > TINY and np.median(found.reach[g]) > OPEN * least
-    ]
-    rims = [r for r in rims if _closed(sampling, r) and _surrounding(sampling, r) < SPARSE]
-    rims = _joined(sampling, rims)
+    rims = [_open_rim(sampling, found, g, least) for g in groups if found.missing[found.label[g[0]]] > TINY]
+    rims = _joined(sampling, [r for r in rims if r is not None and _closed(sampling, r)])
     return [r for r in rims if r.missing >= missing], [r for r in rims if r.missing < missing]
+
+
+def _open_rim(sampling: Sampling, found: RimSet, group: np.ndarray, least: float) -> Rim | None:
+    """The rim of a region whose discs are wide, without the narrow gaps that happen to join it.
+
+    A patch that is only thinner has narrow gaps throughout: half of its rim's discs are under OPEN. Where a
+    cloud gets sparse towards a hole, such gaps fray its rim: what is left near the wide discs must then miss
+    enough samples by itself.
+    """
+    missing = float(found.missing[found.label[group[0]]])
+    wide = found.reach[group] > OPEN * least
+    if wide.mean() < 0.5:
+        if not wide.any():
+            return None
+        points = sampling.points[found.points[group]]
+        unit = float(np.median(sampling.unit[found.points[group]]))
+        near = cKDTree(points[wide]).query(points)[0] < 1.5 * unit
+        missing = float(found.excess[group][near].sum())
+        if found.excess[group][wide].sum() < CORE:
+            return None
+        group = group[near]
+    return Rim(points=found.points[group], opening=found.opening[group], missing=missing)
 
 
 def _closed(sampling: Sampling, rim: Rim) -> bool:
@@ -119,8 +134,12 @@ def _closed(sampling: Sampling, rim: Rim) -> bool:
     if len(rim.points) < ROUND * circle:
         return False
     points = sampling.points[rim.points]
+    if facing(points, rim.opening) >= 0.5:
+        return True
+    unit = float(np.median(sampling.unit[rim.points]))
     loop = points[ordered_loop(points)]
-    return facing(points, rim.opening) >= 0.5 or compactness(loop) >= COMPACT
+    longest = np.linalg.norm(loop - np.roll(loop, -1, axis=0), axis=1).max()
+    return bool(longest < 6.0 * unit and inscribed_radius(loop) > 3.0 * unit)
 
 
 def _joined(sampling: Sampling, rims: list[Rim]) -> list[Rim]:
@@ -153,20 +172,3 @@ def _merged(rims: list[Rim]) -> Rim:
         opening=np.concatenate([r.opening for r in rims])[order],
         missing=sum(r.missing for r in rims),
     )
-
-
-def _surrounding(sampling: Sampling, rim: Rim) -> float:
-    """Median pitch of the points round a rim against that of the wider surface."""
-    points = sampling.points
-    pick = points[rim.points[:: max(1, len(rim.points) // 60)]]
-    unit = float(np.median(sampling.unit[rim.points]))
-    near = _within(sampling.tree, pick, 4.0 * unit)
-    near = np.setdiff1d(near, rim.points)
-    wide = _within(sampling.tree, pick[:: max(1, len(pick) // 8)], 20.0 * unit)
-    if not len(near):
-        return np.inf
-    return float(np.median(sampling.pitch[near]) / np.median(sampling.pitch[wide]))
-
-
-def _within(tree: cKDTree, centres: np.ndarray, radius: float) -> np.ndarray:
-    return np.unique(np.concatenate([np.asarray(one, int) for one in tree.query_ball_point(centres, radius)]))

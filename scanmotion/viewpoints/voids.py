@@ -109,8 +109,10 @@ class RimSet:
     """Indices of the rim points, ascending, shape (m,)."""
     label: np.ndarray
     """Number of the region of each, 0 .. count - 1, shape (m,)."""
+    excess: np.ndarray
+    """Samples missing in the cell of each, shape (m,)."""
     missing: np.ndarray
-    """Samples missing in each region, by excess of Voronoi area, shape (count,)."""
+    """Samples missing in each region, shape (count,)."""
     reach: np.ndarray
     """Radius of the largest empty disc at each rim point, in local pitches (capped), shape (m,)."""
     opening: np.ndarray
@@ -192,6 +194,7 @@ def rim_set(
     return RimSet(
         points=member,
         label=label,
+        excess=excess[member],
         missing=np.bincount(label, excess[member], regions),
         reach=reach[member],
         opening=into[member] / np.where(length > 0, length, 1.0),
