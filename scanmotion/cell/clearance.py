@@ -48,7 +48,7 @@ class Clearance:
         doubtful = np.flatnonzero(~free)
         doubtful = doubtful[self.cell.drake.free(q[doubtful])]
         if self._part is not None:
-            distance = np.array([self._part_distance(row)[0] for row in q[doubtful]])
+            distance = np.array([self._part_distance(row, self.clearance)[0] for row in q[doubtful]])
             doubtful = doubtful[distance >= self.clearance] if len(doubtful) else doubtful
         free[doubtful] = True
         return free
@@ -96,24 +96,30 @@ class Clearance:
         model.endModel()
         bodies = [b for b in self.cell.bodies if 2 <= b.link <= TOOL]
         shapes = [fcl.CollisionObject(fcl.Box(*(2 * box_of(b))), fcl.Transform()) for b in bodies]
-        return fcl.CollisionObject(model, fcl.Transform()), bodies, shapes
+        ball = part.bounds.mean(axis=0), float(np.linalg.norm(part.extent)) / 2
+        return fcl.CollisionObject(model, fcl.Transform()), bodies, shapes, ball
 
-    def _part_distance(self, q: np.ndarray) -> tuple[float, str]:
-        """Exact distance between robot and part, and the robot's body; -0.001 where they touch."""
+    def _part_distance(self, q: np.ndarray, enough: float = np.inf) -> tuple[float, str]:
+        """Exact distance between robot and part, and the robot's body; -0.001 where they touch.
+
+        Bodies that are further away than `enough` by their enclosing balls are left out.
+        """
         import fcl
 
-        obj, bodies, shapes = self._part
+        obj, bodies, shapes, (middle, radius) = self._part
         X_WO = object_poses(self.cell, q)[0]
         obj.setTransform(fcl.Transform(X_WO[:3, :3], X_WO[:3, 3]))
         links = link_poses(self.cell, q)[0]
         flange = links[6] @ self.cell.robot.X_6F
-        centre = X_WO[:3, :3] @ self.cell.part.bounds.mean(axis=0) + X_WO[:3, 3]
-        radius = float(np.linalg.norm(self.cell.part.extent)) / 2
+        centre = X_WO[:3, :3] @ middle + X_WO[:3, 3]
+        poses = [(flange if b.link == TOOL else links[b.link]) @ b.X_LG for b in bodies]
+        apart = np.array([np.linalg.norm(X[:3, 3] - centre) for X in poses]) - radius
+        apart -= np.array([np.linalg.norm(box_of(b)) for b in bodies])
         best, name = 1e3, ""
-        for body, shape in zip(bodies, shapes, strict=True):
-            X = (flange if body.link == TOOL else links[body.link]) @ body.X_LG
-            if np.linalg.norm(X[:3, 3] - centre) - radius - np.linalg.norm(box_of(body)) > min(best, 1.0):
-                continue
+        for k in np.argsort(apart, kind="stable"):
+            if apart[k] > min(best, enough, 1.0):
+                break
+            body, shape, X = bodies[k], shapes[k], poses[k]
             shape.setTransform(fcl.Transform(X[:3, :3], X[:3, 3]))
             if fcl.collide(obj, shape, fcl.CollisionRequest(), fcl.CollisionResult()):
                 return -1e-3, body.name
