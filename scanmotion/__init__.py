@@ -21,7 +21,7 @@ _HOMES = {
     "tour_from_cost": "motion.tsp",
     "plan": "pipeline",
     "load_plan": "pipeline",
-    "verify": "verify",
+    "verify": "judge",
     "export_plan": "export",
     "compare": "comparison",
     "show": "",

@@ -50,6 +50,7 @@ def leg_from(
     start_q: np.ndarray,
     *,
     mode: str = "default",
+    table: str = "axis",
     rng: np.random.Generator,
     progress: Progress = silent,
 ) -> Leg:
@@ -64,12 +65,15 @@ def leg_from(
         viewpoints: what is to be visited.
         start_q: shape (7,) [rad].
         mode: "default" orders by seconds; "paper" by distance, with the table for the unreachable only.
+        table: "fallback" keeps the table still for every station that the arm reaches without it.
         rng: source of the search's random numbers.
         progress: told the stage and the share done.
     """
     reaches = list(
         reach(cell, list(viewpoints), clearance=clearance, progress=lambda f: progress("reach", f))
     )
+    if table == "fallback":
+        reaches = [_table_still(r, start_q[6]) for r in reaches]
     reasons = {r.viewpoint.id: str(r.unreachable) for r in reaches if r.unreachable is not None}
     while True:
         todo = [r for r in reaches if r.viewpoint.id not in reasons]
@@ -95,6 +99,18 @@ def leg_from(
 
 def renamed(viewpoints: Sequence[Viewpoint], prefix: str) -> tuple[Viewpoint, ...]:
     """The same viewpoints with `prefix` before their ids and sweeps, so that rounds do not collide."""
-    return tuple(
-        replace(v, id=prefix + v.id, sweep=prefix + v.sweep if v.sweep else "") for v in viewpoints
-    )
+    return tuple(replace(v, id=prefix + v.id, sweep=prefix + v.sweep if v.sweep else "") for v in viewpoints)
+
+
+def _table_still(item: Reach, angle: float) -> Reach:
+    """Only the configurations that leave the table where it is, if there are any."""
+    if item.viewpoint.kind == "revolution":
+        return item
+    turn = np.abs(np.mod(item.q[:, 6] - angle + np.pi, 2 * np.pi) - np.pi)
+    keep = turn < np.deg2rad(6.0)
+    if not keep.any():
+        return item
+    return replace(
+        item, q=item.q[keep], clearance=item.clearance[keep], manipulability=item.manipulability[keep],
+        X_OS=item.X_OS[keep],
+    )  # fmt: skip

@@ -21,9 +21,9 @@ MAY_IMPORT = {
     "judge": NOUNS | {"judge", "planfile"},
     "verify": NOUNS | {"judge", "planfile"},
     "export": NOUNS | {"export", "planfile", "viewpoints"},
-    "pipeline": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "verify", "legs", "outcome"},
+    "pipeline": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "outcome"},
     "legs": NOUNS | {"viewpoints", "cell", "motion"},
-    "outcome": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "verify", "legs"},
+    "outcome": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs"},
 }
 PYDRAKE = {"cell", "motion/transit.py", "motion/timing.py", "show.py"}
 STAGES = {"reach", "sequence", "transit", "timing"}

@@ -1,0 +1,154 @@
+"""The judge's own kinematics: products of exponentials from the URDF (Lynch and Park 2017, chapter 4)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import ParseError
+
+import numpy as np
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import fromstring
+
+from scanmotion.errors import PlanFileError
+from scanmotion.planfile import PlanRecord, read_text
+from scanmotion.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class UrdfArm:
+    """Screws of the joints in the base at zero, and what hangs on each link."""
+
+    screws: np.ndarray
+    """Angular and linear part (w, v) of each joint's screw, shape (6, 6)."""
+    X_BF: np.ndarray
+    """Flange in the base at zero."""
+    lower: np.ndarray
+    upper: np.ndarray
+    velocity: np.ndarray
+    solids: tuple[tuple[str, int, str, tuple[float, ...], np.ndarray], ...]
+    """(name, link 0..6, shape, size, pose in the base at zero) of the links' collision geometry."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Motion:
+    """Where everything is at each sample of the trajectory."""
+
+    arm: UrdfArm
+    t: np.ndarray
+    """Shape (N,) [s]."""
+    X_WL: np.ndarray
+    """Displacement of links 0..6 from zero, in W: X_WL @ (pose in the base at zero), shape (N, 7, 4, 4)."""
+    X_WF: np.ndarray
+    """Shape (N, 4, 4)."""
+    X_WS: np.ndarray
+    X_WO: np.ndarray
+    X_OS: np.ndarray
+
+
+def arm_from_urdf(text: str, joints: tuple[str, ...], flange: str) -> UrdfArm:
+    """Reads screws, limits and collision solids.
+
+    Raises:
+        PlanFileError: not a URDF with these six joints in one chain.
+    """
+    try:
+        root = fromstring(text)
+        by_child = {j.find("child").get("link"): j for j in root.iter("joint")}
+        chain, link = [], flange
+        while link in by_child and len(chain) < 100:
+            chain.append(by_child[link])
+            link = by_child[link].find("parent").get("link")
+        chain.reverse()
+        names = [j.get("name") for j in chain if j.get("type") != "fixed"]
+        if tuple(names) != joints:
+            raise PlanFileError(f"the URDF's chain moves by {names}, the plan's by {list(joints)}")
+        return _arm(root, chain, link)
+    except (ParseError, DefusedXmlException, AttributeError, TypeError, ValueError) as error:
+        raise PlanFileError(
+            f"the plan's URDF cannot be read ({' '.join(str(error).split())[:120]})"
+        ) from None
+
+
+def _arm(root: Any, chain: list[Any], base: str) -> UrdfArm:
+    X, screws, limits, links = np.eye(4), [], [], {base: (0, np.eye(4))}
+    for joint in chain:
+        X = X @ _origin(joint)
+        if joint.get("type") != "fixed":
+            w = X[:3, :3] @ _numbers(joint.find("axis").get("xyz"), 3)
+            w = w / np.linalg.norm(w)
+            screws.append(np.concatenate([w, -np.cross(w, X[:3, 3])]))
+            limit = joint.find("limit")
+            limits.append([float(limit.get(k)) for k in ("lower", "upper", "velocity")])
+        links[joint.find("child").get("link")] = (len(screws), X)
+    solids = []
+    for link in root.iter("link"):
+        if link.get("name") not in links:
+            continue
+        index, X_BL = links[link.get("name")]
+        for n, collision in enumerate(link.iter("collision")):
+            shape = next(iter(collision.find("geometry")))
+            name = collision.get("name") or f"{link.get('name')}_{n}"
+            if shape.tag == "box":
+                size = tuple(_numbers(shape.get("size"), 3))
+            elif shape.tag == "cylinder":
+                size = (float(shape.get("radius")), float(shape.get("length")))
+            elif shape.tag == "sphere":
+                size = (float(shape.get("radius")),)
+            else:
+                raise ValueError(f"collision geometry {shape.tag!r}")
+            solids.append((name, index, shape.tag, size, X_BL @ _origin(collision)))
+    low, high, speed = np.array(limits).T
+    return UrdfArm(
+        screws=np.array(screws), X_BF=X, lower=low, upper=high, velocity=speed, solids=tuple(solids)
+    )
+
+
+def _numbers(text: str, n: int) -> np.ndarray:
+    values = np.array([float(word) for word in text.split()])
+    if values.shape != (n,) or not np.isfinite(values).all():
+        raise ValueError(f"{text!r} instead of {n} numbers")
+    return values
+
+
+def _origin(element: Any) -> np.ndarray:
+    X, origin = np.eye(4), element.find("origin")
+    if origin is not None:
+        X[:3, 3] = _numbers(origin.get("xyz", "0 0 0"), 3)
+        r, p, y = _numbers(origin.get("rpy", "0 0 0"), 3)
+        for w, angle in (((1.0, 0, 0), r), ((0, 1.0, 0), p), ((0, 0, 1.0), y)):
+            # Fixed axes: later turns come from the left.
+            X[:3, :3] = exponentials(np.array([*w, 0, 0, 0.0]), np.array([angle]))[0, :3, :3] @ X[:3, :3]
+    return X
+
+
+def exponentials(screw: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """exp([S] theta) for a unit screw (w, v), shape (n, 4, 4)."""
+    w, v = screw[:3], screw[3:]
+    W = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    X = np.tile(np.eye(4), (len(angle), 1, 1))
+    X[:, :3, :3] = np.eye(3) + s * W + (1 - c) * (W @ W)
+    G = angle[:, None, None] * np.eye(3) + (1 - c) * W + (angle[:, None, None] - s) * (W @ W)
+    X[:, :3, 3] = G @ v
+    return X
+
+
+def motion_from(folder: Path, record: PlanRecord, trajectory: Trajectory) -> Motion:
+    """Poses of everything at each sample."""
+    arm = arm_from_urdf(
+        read_text(folder, record.urdf_file, limit=8 << 20), record.robot_joints, record.flange_link
+    )
+    X_WB = np.array(record.X_WB)
+    X = np.tile(X_WB, (len(trajectory.t), 1, 1))
+    links = [X]
+    for i in range(6):
+        X = X @ exponentials(arm.screws[i], trajectory.q[:, i])
+        links.append(X)
+    X_WF = X @ arm.X_BF
+    X_WS = X_WF @ np.array(record.X_FS)
+    turn = exponentials(np.array([0, 0, 1.0, 0, 0, 0]), trajectory.q[:, 6])
+    X_WO = np.array(record.X_WT) @ turn @ np.array(record.X_TO)
+    return Motion(
+        arm=arm, t=trajectory.t, X_WL=np.stack(links, axis=1), X_WF=X_WF, X_WS=X_WS, X_WO=X_WO,
+        X_OS=np.linalg.inv(X_WO) @ X_WS,
+    )  # fmt: skip

@@ -1,0 +1,120 @@
+"""Operations and viewpoints: order, rest, whole turns, and whether the scanner stands where it claims to."""
+
+import numpy as np
+
+from scanmotion.judge.finding import Finding
+from scanmotion.judge.motion import Motion, exponentials
+from scanmotion.planfile import OperationRecord, PlanRecord, ViewpointRecord
+from scanmotion.trajectory import Trajectory
+
+_POSITION_M, _ANGLE = 1e-3, np.deg2rad(0.2)
+
+
+def check_operations(record: PlanRecord, trajectory: Trajectory) -> list[Finding]:
+    """Operations follow one another without a gap, start and end at rest, and do what their kind says."""
+    findings, at = [], 0.0
+    a = np.array(record.limits.acceleration_rad_s2)
+    for n, o in enumerate(record.operations):
+        name = f"operation {o.index} ({o.kind})"
+        if o.index != n or abs(o.t_start - at) > 1e-3 or o.t_end <= o.t_start:
+            text = f"{name} runs from {o.t_start:.3f} to {o.t_end:.3f} s, the one before ends at {at:.3f} s"
+            findings.append(Finding(code="order", message=text, where=name, t=o.t_start))
+        at = o.t_end
+        where = np.flatnonzero((trajectory.t >= o.t_start - 1e-6) & (trajectory.t <= o.t_end + 1e-6))
+        if len(where) < 2:
+            findings.append(Finding(code="order", message=f"{name} has no samples", where=name, t=o.t_start))
+            continue
+        q, t = trajectory.q[where], trajectory.t[where]
+        ends = max(np.abs(q[0] - o.q_start).max(), np.abs(q[-1] - o.q_end).max())
+        if ends > 1e-5:
+            text = f"{name} starts or ends {np.rad2deg(ends):.4f} deg from where plan.json says"
+            findings.append(Finding(code="order", message=text, where=name, value=float(ends), t=float(t[0])))
+        for first, second, when in ((0, 1, t[0]), (-2, -1, t[-1])):
+            step = t[second] - t[first]
+            move = np.abs(q[second] - q[first]) - a * step**2 - 1e-7
+            if move.max() > 0:
+                text = f"{name} is not at rest at {when:.2f} s"
+                findings.append(Finding(code="rest", message=text, where=name, t=float(when)))
+        findings += _kind(o, q, name, record)
+    if abs(at - trajectory.duration) > 1e-3:
+        text = f"the operations end at {at:.3f} s, the trajectory at {trajectory.duration:.3f} s"
+        findings.append(Finding(code="order", message=text, value=trajectory.duration, limit=at))
+    return findings
+
+
+def _kind(o: OperationRecord, q: np.ndarray, name: str, record: PlanRecord) -> list[Finding]:
+    arm = float(np.ptp(q[:, :6], axis=0).max())
+    table = float(np.ptp(q[:, 6]))
+    message = ""
+    if o.kind == "revolution":
+        if arm > 1e-5:
+            message = f"{name}: the arm moves by {np.rad2deg(arm):.4f} deg"
+        elif table < 2 * np.pi - 1e-4:
+            message = f"{name}: the table turns {np.rad2deg(table):.2f} deg instead of 360"
+    elif o.kind == "sweep" and table > 1e-5:
+        message = f"{name}: the table turns by {np.rad2deg(table):.4f} deg"
+    elif o.kind == "dwell":
+        if max(arm, table) > 1e-5:
+            message = f"{name}: something moves"
+        elif o.t_end - o.t_start < record.process.dwell_s - 0.011:
+            message = f"{name} lasts {o.t_end - o.t_start:.2f} s instead of {record.process.dwell_s:.2f} s"
+    return [Finding(code="order", message=message, where=name, t=o.t_start)] if message else []
+
+
+def check_viewpoints(record: PlanRecord, trajectory: Trajectory, motion: Motion) -> list[Finding]:
+    """Every viewpoint is served where it asked for, in the order claimed, or stands among the unreachable."""
+    findings = []
+    views = {v.id: v for v in record.viewpoints}
+    served: set[str] = set()
+    for o in record.operations:
+        if o.kind == "transit":
+            continue
+        where = np.flatnonzero((trajectory.t >= o.t_start - 1e-6) & (trajectory.t <= o.t_end + 1e-6))
+        last = -1
+        for name in o.viewpoints:
+            if name not in views:
+                text = f"operation {o.index} serves {name!r}, which is not among the viewpoints"
+                findings.append(Finding(code="viewpoint", message=text, where=name, t=o.t_start))
+                continue
+            served.add(name)
+            off, angle, k = _nearest(views[name], motion.X_OS[where])
+            if off > 0 or angle > 0:
+                text = (
+                    f"{name}: the scanner comes no closer than {(off + _POSITION_M) * 1e3:.1f} mm and "
+                    f"{np.rad2deg(angle + _ANGLE):.2f} deg in operation {o.index}"
+                )
+                findings.append(
+                    Finding(code="viewpoint", message=text, where=name, value=off, t=float(o.t_start))
+                )
+            elif o.kind == "sweep" and k < last:
+                text = f"{name} is passed out of order in operation {o.index}"
+                findings.append(Finding(code="order", message=text, where=name, t=float(o.t_start)))
+            last = max(last, k)
+    given_up = {name for name, _ in record.unreachable}
+    for name in sorted(set(views) - served - given_up):
+        text = f"{name} is neither served nor among the unreachable"
+        findings.append(Finding(code="viewpoint", message=text, where=name))
+    for name in sorted(served & given_up):
+        text = f"{name} is served and among the unreachable"
+        findings.append(Finding(code="viewpoint", message=text, where=name))
+    return findings
+
+
+def _nearest(view: ViewpointRecord, X_OS: np.ndarray) -> tuple[float, float, int]:
+    """By how much position and angle stay outside what the viewpoint allows, and at which sample least."""
+    X = np.array(view.X_OS)
+    if view.kind == "revolution":
+        # Any azimuth will do: each sample is turned about the table's axis to the viewpoint's own.
+        turn = np.arctan2(X[1, 3], X[0, 3]) - np.arctan2(X_OS[:, 1, 3], X_OS[:, 0, 3])
+        X_OS = exponentials(np.array([0, 0, 1.0, 0, 0, 0]), turn) @ X_OS
+    reach = max(abs(s) for s in view.slack_standoff_m)
+    gap = np.linalg.norm(X_OS[:, :3, 3] - X[:3, 3], axis=1)
+    swing = view.standoff_m * view.slack_tilt_rad
+    off = gap - reach - swing - _POSITION_M
+    axis = np.arccos(np.clip(X_OS[:, :3, 2] @ X[:3, 2], -1, 1)) - view.slack_tilt_rad - _ANGLE
+    angle = axis
+    if not view.slack_roll:
+        trace = np.einsum("nij,ij->n", X_OS[:, :3, :3], X[:3, :3])
+        angle = np.maximum(axis, np.arccos(np.clip((trace - 1) / 2, -1, 1)) - view.slack_tilt_rad - _ANGLE)
+    k = int(np.argmin(np.maximum(off / _POSITION_M, angle / _ANGLE)))
+    return float(off[k]), float(angle[k]), k

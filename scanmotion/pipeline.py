@@ -1,0 +1,299 @@
+"""The whole trip on one screen: a part and a cell in, a Plan out. Nobody else knows the stages' order."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from scanmotion.cell.clearance import Clearance
+from scanmotion.cell.config import CellSettings
+from scanmotion.cell.kinematics import scanner_poses
+from scanmotion.cell.plant import Cell, build_cell
+from scanmotion.errors import InputError, PartError
+from scanmotion.legs import Leg, Progress, leg_from, renamed, silent
+from scanmotion.motion.reach import reachable_mask
+from scanmotion.outcome import Plan, Round, Stopwatch
+from scanmotion.part import Part, SurfaceSamples, check_fits, surface_samples
+from scanmotion.scan.fuse import Cloud, fuse
+from scanmotion.scan.simulate import Scan, ScanErrors, captures_from_trajectory, simulate
+from scanmotion.scanner import Scanner
+from scanmotion.trajectory import Trajectory, joined
+from scanmotion.viewpoints.boundary import oriented_normals
+from scanmotion.viewpoints.cad_slicing import cad_slicing
+from scanmotion.viewpoints.coverage import Scene, scene_from, visible
+from scanmotion.viewpoints.holes import HoleReport, holes_from_cloud
+from scanmotion.viewpoints.local import local_viewpoints
+from scanmotion.viewpoints.model import closed_model
+from scanmotion.viewpoints.select import local_step
+from scanmotion.viewpoints.stepped_rotary import stepped_rotary
+from scanmotion.viewpoints.surface_partitioning import surface_partitioning
+from scanmotion.viewpoints.viewpoint import Viewpoint
+
+__all__ = ["PlanOptions", "plan"]
+
+Source = Literal["mesh", "box", "scan"]
+Mode = Literal["default", "paper"]
+Strategy = Literal["two-step", "cad-slicing", "surface-partitioning"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions:
+    """What a plan may be told beside the part and the cell."""
+
+    source: Source = "mesh"
+    """mesh: the twin scans the part, both steps. box: only a box is known, global step. scan: local step."""
+    mode: Mode = "default"
+    strategy: Strategy = "two-step"
+    seed: int = 0
+    rounds: int = 3
+    """Most local rounds: holes are sought again after each."""
+    samples: int = 40_000
+    """Surface samples by which completeness is counted."""
+    voxel: float = 0.002
+    """Edge of the fused cloud's voxels [m]."""
+    stride: int = 2
+    """The twin casts every stride-th ray in x and y of a frame."""
+    goal: float = 0.999
+    """Completeness of what can be seen at which the local rounds end."""
+    errors: ScanErrors = field(default_factory=ScanErrors)
+    """What the simulated scanner, arm and table get wrong."""
+    occlusion_aware: bool = True
+    """Local viewpoints are chosen on a closed model; False: the grid over each hole's box."""
+    reach_feedback: bool = True
+    """Only what the robot reaches is chosen; False: reach is asked for afterwards."""
+    turntable: Literal["axis", "fallback"] = "axis"
+    """axis: the table is a seventh axis. fallback: it turns for stations only where the arm alone cannot."""
+
+    def __post_init__(self) -> None:
+        for name, known in (
+            ("turntable", ("axis", "fallback")),
+            ("source", ("mesh", "box", "scan")),
+            ("mode", ("default", "paper")),
+            ("strategy", ("two-step", "cad-slicing", "surface-partitioning")),
+        ):
+            if getattr(self, name) not in known:
+                raise InputError(f"unknown {name} {getattr(self, name)!r}; known: {', '.join(known)}")
+
+
+def plan(
+    part: Part, settings: CellSettings, *, options: PlanOptions | None = None, progress: Progress = silent
+) -> Plan:
+    """Plans the scan of `part` in the cell that `settings` describe.
+
+    Args:
+        part: what is scanned; for source "box" the box itself, for source "scan" the measured surface.
+        settings: the cell.
+        options: source, mode, strategy, seed and the twin's settings.
+        progress: told the stage and the share of it that is done.
+
+    Raises:
+        PartError: the part does not fit the table, or is not what the source needs.
+    """
+    trip = _Trip(part, settings, options or PlanOptions(), progress)
+    if trip.options.source == "scan":
+        trip.take_scan()
+    elif trip.options.strategy == "two-step":
+        trip.global_step()
+    else:
+        trip.single_step()
+    if trip.options.source != "box" and trip.options.strategy == "two-step":
+        trip.local_rounds()
+    return trip.plan()
+
+
+class _Trip:
+    """What the stages have found so far."""
+
+    def __init__(self, part: Part, settings: CellSettings, options: PlanOptions, progress: Progress) -> None:
+        self.watch = Stopwatch()
+        self.options, self.progress = options, progress
+        self.settings, self.part = settings, part
+        check_fits(part, settings.turntable.diameter_m / 2, settings.process.max_height_m)
+        if options.source == "mesh" and not part.is_mesh:
+            raise PartError(f"{part.name}: a point cloud cannot be scanned by the twin; give it as a scan")
+        self.scanner: Scanner = settings.scanner_model()
+        with self.watch("cell"):
+            self.cell: Cell = build_cell(settings, self._solid())
+            self.clearance = Clearance(self.cell)
+        self.rounds: list[Round] = []
+        self.trajectory: Trajectory | None = None
+        self.scans: list[Scan] = []
+        self.cloud: Cloud | None = None
+        self.holes: HoleReport | None = None
+        self.dropped: list[tuple[str, str]] = []
+        self.unscanned: tuple = ()
+        self.scene: Scene | None = None
+        self.samples: SurfaceSamples | None = None
+        self.seen = np.zeros(0, bool)
+        self.can_see: np.ndarray | None = None
+        if options.source == "mesh":
+            self.scene = self._scene(part)
+            self.samples = surface_samples(part, options.samples, rng=self._rng(1))
+            self.seen = np.zeros(options.samples, bool)
+
+    def _rng(self, stream: int) -> np.random.Generator:
+        """Each stage has a stream of its own, so that one stage's draws do not shift another's."""
+        return np.random.default_rng([self.options.seed, stream])
+
+    def _solid(self) -> Part:
+        """What the arm must not touch: the mesh, the box, or the closed model of a measured cloud."""
+        if self.part.is_mesh:
+            return self.part
+        cloud = _cloud_of(self.part)
+        model = closed_model(cloud.points, cloud.normals, spacing=self.options.voxel)
+        return Part(name=self.part.name, vertices=model.vertices, triangles=model.triangles)
+
+    def _scene(self, part: Part) -> Scene:
+        table = self.settings.turntable
+        return scene_from(
+            part.vertices, part.triangles, table_radius=table.diameter_m / 2, table_z=self.table_z,
+            pedestal_radius=self.settings.pedestal.diameter_m / 2,
+        )  # fmt: skip
+
+    @property
+    def table_z(self) -> float:
+        """Height of the table's top in O [m]."""
+        return -self.settings.pedestal.height_m
+
+    @property
+    def at(self) -> np.ndarray:
+        """Where the programme stands now, shape (7,)."""
+        return self.cell.home if self.trajectory is None else self.trajectory.q[-1]
+
+    def take_scan(self) -> None:
+        """A measured global scan stands in for the global step."""
+        self.cloud = _cloud_of(self.part)
+
+    def global_step(self) -> None:
+        """Stepped rotary scanning of the bounding box."""
+        step = stepped_rotary(
+            *self.part.extent, self.scanner,
+            standoff=self.settings.process.standoff_m,
+            mode=self.options.mode,
+            pedestal=self.settings.pedestal.height_m,
+        )  # fmt: skip
+        self.dropped += list(step.dropped)
+        self._run(step.viewpoints, "global", self._rng(2))
+
+    def single_step(self) -> None:
+        """One of the two methods that the paper compares with; both need the mesh."""
+        strategy = cad_slicing if self.options.strategy == "cad-slicing" else surface_partitioning
+        with self.watch("viewpoints"):
+            views = strategy(self.part, self.scanner, standoff=self.settings.process.standoff_m)
+        self._run(views, "global", self._rng(2))
+
+    def local_rounds(self) -> None:
+        """Holes, local viewpoints, the same trip again, until nothing more is worth a round."""
+        for number in range(1, self.options.rounds + 1):
+            assert self.cloud is not None
+            with self.watch("holes"):
+                self.progress("holes", 0.0)
+                holes = holes_from_cloud(
+                    self.cloud.points, view_directions=self.cloud.view_directions, mode=self.options.mode
+                )
+                self.holes = self.holes or holes
+            with self.watch("viewpoints"):
+                self.progress("viewpoints", 0.0)
+                views = self._local_views(holes, number)
+            if not views:
+                return
+            self._run(renamed(views, f"R{number}" if number > 1 else ""), "local", self._rng(10 + number))
+            literal = self.options.mode == "paper" or not self.options.occlusion_aware
+            if literal or self.options.source == "scan" or self._complete():
+                return
+
+    def _local_views(self, holes: HoleReport, number: int) -> tuple[Viewpoint, ...]:
+        standoff = self.settings.process.standoff_m
+        if self.options.mode == "paper" or not self.options.occlusion_aware:
+            return local_viewpoints(
+                holes.holes, self.scanner, standoff=standoff, mode=self.options.mode, table_z=self.table_z
+            )
+        assert self.cloud is not None
+        step = local_step(
+            self.cloud.points, self.cloud.normals, holes.holes, self.scanner,
+            spacing=self.options.voxel,
+            table_radius=self.settings.turntable.diameter_m / 2,
+            table_z=self.table_z,
+            reachable=self._reachable if self.options.reach_feedback else None,
+            rng=self._rng(20 + number),
+        )  # fmt: skip
+        self.unscanned = step.unseen
+        return step.viewpoints
+
+    def _reachable(self, X_OS: np.ndarray) -> np.ndarray:
+        return reachable_mask(self.cell, X_OS, clearance=self.clearance)
+
+    def _run(self, views: tuple[Viewpoint, ...], step: str, rng: np.random.Generator) -> None:
+        """Plans a leg over `views`, appends it, and lets the twin scan along it."""
+        with self.watch("motion"):
+            leg: Leg = leg_from(
+                self.cell, self.clearance, views, self.at,
+                mode=self.options.mode, table=self.options.turntable, rng=rng, progress=self.progress,
+            )  # fmt: skip
+        if leg.trajectory is not None:
+            before = self.trajectory
+            self.trajectory = leg.trajectory if before is None else joined(before, leg.trajectory)
+            if self.options.source == "mesh":
+                with self.watch("twin"):
+                    self._scan(leg.trajectory, rng)
+        self.rounds.append(Round(step=step, leg=leg, seen=self.seen.copy()))
+
+    def _scan(self, trajectory: Trajectory, rng: np.random.Generator) -> None:
+        captures = captures_from_trajectory(
+            trajectory, lambda q: scanner_poses(self.cell, q),
+            fps=self.settings.process.fps, X_WT=self.cell.X_WT, X_TO=self.cell.X_TO,
+        )  # fmt: skip
+        scan = simulate(
+            self.scene, self.scanner, captures,
+            errors=self.options.errors, stride=self.options.stride, rng=rng, samples=self.samples,
+            progress=lambda f: self.progress("twin", f),
+        )  # fmt: skip
+        self.scans.append(scan)
+        self.seen = self.seen | scan.seen
+        self.cloud = fuse(self.scans, voxel=self.options.voxel)
+
+    def _complete(self) -> bool:
+        return self.completeness() >= self.options.goal
+
+    def completeness(self) -> float:
+        """Share of what can be seen that has been seen."""
+        assert self.scene is not None and self.samples is not None
+        if self.can_see is None:
+            with self.watch("visible"):
+                self.can_see = visible(
+                    self.scene, self.scanner, self.samples.points, self.samples.normals, seen=self.seen
+                )
+        return float(self.seen.sum() / max((self.can_see | self.seen).sum(), 1))
+
+    def plan(self) -> Plan:
+        """All that was found, in one value."""
+        if self.options.source == "mesh":
+            self.completeness()
+        return Plan(
+            part=self.part, cell=self.cell, options=self.options, rounds=tuple(self.rounds),
+            trajectory=self.trajectory, cloud=self.cloud, holes=self.holes, samples=self.samples,
+            visible=None if self.can_see is None else self.can_see | self.seen,
+            dropped=tuple(self.dropped), unscanned=self.unscanned, planning_s=self.watch.seconds(),
+        )  # fmt: skip
+
+
+def _cloud_of(part: Part) -> Cloud:
+    """A measured scan as a cloud with normals; a mesh is resampled uniformly, never taken by its vertices."""
+    if part.is_mesh:
+        area = np.linalg.norm(
+            np.cross(
+                part.vertices[part.triangles[:, 1]] - part.vertices[part.triangles[:, 0]],
+                part.vertices[part.triangles[:, 2]] - part.vertices[part.triangles[:, 0]],
+            ),
+            axis=1,
+        ).sum()
+        n = int(np.clip(area / 2 / 2e-6, 5_000, 400_000))
+        samples = surface_samples(part, n, rng=np.random.default_rng(0))
+        points, normals = samples.points, samples.normals
+    else:
+        points = part.vertices
+        normals = part.normals if part.normals is not None else oriented_normals(points)
+    return Cloud(
+        points=np.asarray(points, float), normals=np.asarray(normals, float),
+        view_directions=np.asarray(normals, float), counts=np.ones(len(points), np.int64),
+    )  # fmt: skip
