@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from scanmotion.errors import InputError
 from scanmotion.part import Part, SurfaceSamples
@@ -106,3 +107,38 @@ def accuracy(points: np.ndarray, part: Part) -> Accuracy:
         mean_abs=float(np.abs(d).mean()), sd_signed=float(d.std()), mean_signed=float(d.mean()),
         p95_abs=float(np.percentile(np.abs(d), 95)), points=len(d),
     )  # fmt: skip
+
+
+def completeness_by_distance(
+    samples: SurfaceSamples,
+    points: np.ndarray,
+    normals: np.ndarray,
+    *,
+    visible: np.ndarray | None = None,
+    distance: float = 0.003,
+    angle: float = np.deg2rad(60.0),
+) -> Completeness:
+    """For real scans, where nobody knows what was seen: a sample counts if a like-facing point is near.
+
+    The normal test keeps one side of a thin wall from vouching for the other.
+
+    Args:
+        samples: of the reference, uniform by area.
+        points: of the fused cloud, shape (n, 3) [m].
+        normals: outward, shape (n, 3).
+        visible: which samples any pose can see, shape (m,) bool; None for all.
+        distance: greatest distance of sample and point [m].
+        angle: greatest angle between their normals [rad].
+    """
+    tree, covered = cKDTree(points), np.zeros(len(samples.points), bool)
+    todo = np.arange(len(covered))
+    near = 8
+    while len(todo) and near <= 64:
+        d, k = tree.query(samples.points[todo], k=min(near, len(points)), distance_upper_bound=distance)
+        d, k = d.reshape(len(todo), -1), np.minimum(k.reshape(len(todo), -1), len(points) - 1)
+        like = np.einsum("ijk,ik->ij", normals[k], samples.normals[todo]) >= np.cos(angle)
+        hit = (np.isfinite(d) & like).any(axis=1)
+        covered[todo[hit]] = True
+        # Only where all the points that were found are near and turned away can a farther one still count.
+        todo, near = todo[~hit & np.isfinite(d).all(axis=1)], near * 8
+    return completeness(samples, covered, np.ones(len(covered), bool) if visible is None else visible)

@@ -108,6 +108,46 @@ def fuse_points(raw: RawPoints, *, voxel: float = 0.002, radius: float | None = 
     return Cloud(points=points[keep], normals=normals[keep], view_directions=view[keep], counts=counts[keep])
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SpotPoints:
+    """Raw points that lie in spots of the surface, and their height over them."""
+
+    point: np.ndarray
+    """Index of the raw point in the joined scans, shape (k,)."""
+    spot: np.ndarray
+    """Index of its spot, ascending, shape (k,)."""
+    frame: np.ndarray
+    """Index of its frame over all scans, shape (k,)."""
+    height: np.ndarray
+    """Over the surface fitted through the spot, shape (k,) [m]."""
+    normals: np.ndarray
+    """Of the spots, shape (s, 3)."""
+
+
+def surface_groups(scans: Sequence[Scan], *, voxel: float) -> SpotPoints:
+    """Raw points by voxel with their height over the surface that is fitted there.
+
+    Raises:
+        InputError: no voxel holds points of two frames on a surface.
+    """
+    raw = joined_points(scans)
+    low, shape = _grid(raw.points, voxel)
+    unique, start, order = grouped(raw.points, low, voxel, shape)
+    mean, view = averaged(raw.points, raw.frame, raw.cameras, start, order)
+    points, normals, misfit = _fitted(raw, unique, shape, start, order, mean, view, voxel)
+    spot = np.repeat(np.arange(len(unique)), np.diff(start))
+    frames = raw.frame[order]
+    several = np.maximum.reduceat(frames, start[:-1]) > np.minimum.reduceat(frames, start[:-1])
+    # Points seen from behind the spot belong to the far side of a thin wall.
+    towards = raw.cameras[frames] - raw.points[order]
+    keep = (several & (misfit > 0))[spot] & (np.einsum("ij,ij->i", towards, normals[spot]) > 0)
+    if not keep.any():
+        raise InputError("no spot of the surface was seen by two frames: nothing to calibrate from")
+    spot, point = spot[keep], order[keep]
+    height = np.einsum("ij,ij->i", raw.points[point] - points[spot], normals[spot])
+    return SpotPoints(point=point, spot=spot, frame=frames[keep], height=height, normals=normals)
+
+
 def _fitted(
     raw: RawPoints, unique: np.ndarray, shape: np.ndarray, start: np.ndarray, order: np.ndarray,
     mean: np.ndarray, view: np.ndarray, radius: float,
