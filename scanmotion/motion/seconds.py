@@ -270,46 +270,39 @@ def _turned(w, c, s, x, y, z):
 
 
 @njit(cache=True)
-def _speed_of(change, d):
+def _speed_of(change, k, qa, n, qb, m):
+    """Change of the scanner at configuration k along the joint line from a to b."""
     x, y, z = 0.0, 0.0, 0.0
     for i in range(6):
-        x += change[i, 0] * d[i]
-        y += change[i, 1] * d[i]
-        z += change[i, 2] * d[i]
+        d = qb[m, i] - qa[n, i]
+        x += change[k, i, 0] * d
+        y += change[k, i, 1] * d
+        z += change[k, i, 2] * d
     return x, y, z
 
 
 @njit(cache=True)
-def _scanner_way(pa, ca, pb, cb, d, straight):
-    """Length of the scanner's way between two configurations that differ by d."""
-    ex, ey, ez = pb[0] - pa[0], pb[1] - pa[1], pb[2] - pa[2]
-    chord = np.sqrt(ex * ex + ey * ey + ez * ez)
-    if straight:
-        return chord
-    ax, ay, az = _speed_of(ca, d)
-    bx, by, bz = _speed_of(cb, d)
+def _bent_way(qa, pa, ca, n, qb, pb, cb, m):
+    """Length of the scanner's way along a joint line."""
+    ex, ey, ez = pb[m, 0] - pa[n, 0], pb[m, 1] - pa[n, 1], pb[m, 2] - pa[n, 2]
+    ax, ay, az = _speed_of(ca, n, qa, n, qb, m)
+    bx, by, bz = _speed_of(cb, m, qa, n, qb, m)
     hull = np.sqrt(ax * ax + ay * ay + az * az) + np.sqrt(bx * bx + by * by + bz * bz)
     mx, my, mz = 3.0 * ex - ax - bx, 3.0 * ey - ay - by, 3.0 * ez - az - bz
     hull += np.sqrt(mx * mx + my * my + mz * mz)
-    return (chord + hull / 3.0) / 2.0
+    return (np.sqrt(ex * ex + ey * ey + ez * ez) + hull / 3.0) / 2.0
 
 
 @njit(cache=True)
-def _transit(v, a, tcp, soft, da, pa, ca, straight, qb, pb, cb, d):
-    """Time of one transit from configuration da to qb; d (7,) is room to work in."""
+def _joint_limits(per_v, per_a, qa, n, qb, m):
+    """Least durations of a joint line at the axes' velocities, and their squares at the accelerations."""
     rate, slow = 0.0, 0.0
-    for i in range(7):
-        d[i] = qb[i] - da[i]
-        if i < 6:
-            rate = max(rate, abs(d[i]) / v[i])
-            slow = max(slow, abs(d[i]) / a[i])
-    rate = max(rate, _scanner_way(pa, ca, pb, cb, d, straight) / tcp)
-    far = max(abs(d[3]), abs(d[5])) - _WRIST_RAD
-    wrist = _WRIST_S_PER_RAD * far if far > 0.0 else 0.0
-    # The path parameter's greatest speed is 1 / rate, its acceleration 1 / slow.
-    arm = _rest_to_rest(1.0, 1.0 / rate, 1.0 / slow) if slow > 1e-12 else 0.0
-    seconds = max(arm, _rest_to_rest(abs(d[6]), v[6], a[6]))
-    return seconds + soft + wrist if seconds > 1e-9 else 0.0
+    for i in range(6):
+        x = abs(qb[m, i] - qa[n, i])
+        y, z = x * per_v[i], x * per_a[i]
+        rate = y if y > rate else rate
+        slow = z if z > slow else slow
+    return rate, slow
 
 
 @njit(cache=True, nogil=True)
@@ -317,10 +310,23 @@ def _transits(v, a, j, tcp, paired, qa, pa, ca, ba, qb, pb, cb, bb):
     """Times from each a to each b, shape (n, m), or where `paired` from each a to its b, shape (n, 1)."""
     out = np.empty((len(qa), 1 if paired else len(qb)))
     soft = (a / j).max()
-    d = np.empty(7)
-    for n in range(len(qa)):
+    per_v, per_a, per_tcp = 1.0 / v, 1.0 / a, 1.0 / tcp
+    for n in range(out.shape[0]):
         for k in range(out.shape[1]):
             m = n if paired else k
-            straight = ba[n] == bb[m] and abs(qb[m, 0] - qa[n, 0]) < _BASE_RAD
-            out[n, k] = _transit(v, a, tcp, soft, qa[n], pa[n], ca[n], straight, qb[m], pb[m], cb[m], d)
+            rate, slow = _joint_limits(per_v, per_a, qa, n, qb, m)
+            if ba[n] == bb[m] and abs(qb[m, 0] - qa[n, 0]) < _BASE_RAD:
+                x, y, z = pb[m, 0] - pa[n, 0], pb[m, 1] - pa[n, 1], pb[m, 2] - pa[n, 2]
+                way = np.sqrt(x * x + y * y + z * z)
+            else:
+                way = _bent_way(qa, pa, ca, n, qb, pb, cb, m)
+            rate = max(rate, way * per_tcp)
+            # The path parameter's greatest speed is 1 / rate, its acceleration 1 / slow.
+            seconds = rate + slow / rate if rate * rate >= slow > 0.0 else 2.0 * np.sqrt(slow)
+            turn = abs(qb[m, 6] - qa[n, 6])
+            if turn > 0.0:
+                seconds = max(seconds, _rest_to_rest(turn, v[6], a[6]))
+            far = max(abs(qb[m, 3] - qa[n, 3]), abs(qb[m, 5] - qa[n, 5])) - _WRIST_RAD
+            extra = soft + _WRIST_S_PER_RAD * far if far > 0.0 else soft
+            out[n, k] = seconds + extra if seconds > 1e-9 else 0.0
     return out
