@@ -20,7 +20,7 @@ _HOMES = {
     "reach": "motion.reach",
     "tour_from_cost": "motion.tsp",
     "plan": "pipeline",
-    "load_plan": "pipeline",
+    "load_plan": "loaded",
     "verify": "judge",
     "export_plan": "export",
     "compare": "comparison",

@@ -1,9 +1,10 @@
 """Plan: everything that a trip found, its summary, and its folder on disk."""
 
+import functools
 import io
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -123,8 +124,15 @@ class Plan:
         total = self.trajectory.duration if self.trajectory is not None else 0.0
         return {"total": total, **split, "floor": sum(r.leg.tour.floor for r in self.rounds)}
 
-    def summary(self, findings: Sequence[Finding] = ()) -> dict[str, Any]:
-        """summary.json: what the plan achieves; see docs for the meaning of each figure."""
+    @functools.cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What the judge finds in the plan's files, which are written for it to a place of their own."""
+        with tempfile.TemporaryDirectory() as work:
+            return tuple(verify(atomic_folder(Path(work) / "plan", plan_files(self))))
+
+    @functools.cached_property
+    def summary(self) -> dict[str, Any]:
+        """summary.json: what the plan achieves; docs/results.md says what each figure means."""
         accuracy, time_s = self.accuracy(), self.time_s()
         served = [v for item in self.rounds for v in item.leg.served]
         limit = self.cell.settings.process.budget_s
@@ -158,7 +166,7 @@ class Plan:
             "accuracy": millimetres,
             "time_s": {k: round(v, 3) for k, v in time_s.items()},
             "budget": {"limit_s": limit, "ok": bool(time_s["total"] <= limit)},
-            "findings": [str(f) for f in findings],
+            "findings": [str(f) for f in self.findings],
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
         }
 
@@ -185,13 +193,9 @@ class Plan:
             PlanFileError: the folder cannot be written.
             InputError: there is no trajectory to write.
         """
-        files = dict(plan_files(self))
-        with tempfile.TemporaryDirectory() as work:
-            draft = atomic_folder(Path(work) / "plan", files)
-            findings = verify(draft)
-        files["summary.json"] = json_text(self.summary(findings))
+        files = plan_files(self) | {"summary.json": json_text(self.summary)}
         atomic_folder(folder, {**files, **(extras or {})})
-        return findings
+        return list(self.findings)
 
 
 def plan_files(plan: Plan) -> dict[str, bytes | str]:
@@ -208,8 +212,21 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
         "robot.urdf": plan.cell.urdf_path.read_bytes(),
         "part.ply": ply_bytes(solid.vertices, solid.triangles),
         "cell.json": plan.cell.settings.model_dump_json(indent=1) + "\n",
+        "holes.json": json_text({"units": "m", "holes": _hole_records(plan)}),
         "scan.npz": _arrays(plan),
     }
+
+
+def _hole_records(plan: Plan) -> list[dict[str, Any]]:
+    """The holes of the first scan, in metres in O."""
+    return [
+        {
+            "kind": h.kind, "boundary": np.round(h.boundary, 6).tolist(), "center": h.center.tolist(),
+            "normal": h.normal.tolist(), "X_OH": h.X_OH.tolist(), "extent": h.extent.tolist(),
+            "perimeter": h.perimeter, "area": h.area,
+        }
+        for h in (plan.holes.holes if plan.holes is not None else ())
+    ]  # fmt: skip
 
 
 def _arrays(plan: Plan) -> bytes:

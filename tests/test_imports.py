@@ -22,6 +22,7 @@ MAY_IMPORT = {
     "verify": NOUNS | {"judge", "planfile"},
     "export": NOUNS | {"export", "planfile", "viewpoints"},
     "pipeline": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "outcome"},
+    "loaded": NOUNS | {"viewpoints", "cell", "planfile"},
     "legs": NOUNS | {"viewpoints", "cell", "motion"},
     "outcome": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs"},
 }

@@ -14,7 +14,7 @@ Folder = Annotated[Path, typer.Argument(help="Folder that `scanmotion plan` wrot
 
 def verify(folder: Folder, quiet: Quiet = False, json: Json = False) -> int:
     """Judge a plan again from its files alone: limits, clearance, speeds, viewpoints, budget."""
-    from scanmotion.verify import verify as judge
+    from scanmotion.judge import verify as judge
 
     with progress_bar(quiet=quiet or json):
         findings = judge(folder)
@@ -38,7 +38,7 @@ def show(
 ) -> int:
     """Write scene.html and report.html of a plan again and open the scene."""
     from scanmotion.cli.planning import pages
-    from scanmotion.pipeline import load_plan
+    from scanmotion.loaded import load_plan
 
     plan = load_plan(folder)
     if live:
