@@ -31,7 +31,8 @@ def prepared(
     """The cloud without copies, averaged in voxels where that is asked for or needed; or why there is none.
 
     Args:
-        points: shape (n, 3) [m]. directions: towards the outside, shape (n, 3). least: points that are needed.
+        points: shape (n, 3) [m]. directions: towards the outside, shape (n, 3).
+        least: points that are needed.
         voxel: side of the cubes [m]; 0 for none; by default only where the pitch is uneven.
         literal: never average by default.
 

@@ -20,18 +20,20 @@ PITCH = 8
 WEAK = 1.0
 """Radius of an empty disc that joins two larger ones: a gap may be narrower in places."""
 LEAST = 1.15
-"""Radius of an empty disc that counts, in pitches; evenly spread samples leave 0.7 to 1.1."""
+"""Radius of an empty disc that counts, in pitches; evenly spread samples leave 0.7 to 1.1, random ones 1.5."""
 FOLDED = 0.42
 """Thickness of a neighbourhood, in pitches, over which it has no tangent plane; a right angle has 0.45."""
 MISSING = 20.0
-"""Samples missing in a hole that is worth a viewpoint."""
+"""Samples missing in a hole that is worth a viewpoint; more where the sampling is random."""
 TINY = 8.0
 """Samples missing in a gap that is worth a word."""
-OPEN = 1.24
-"""Median radius of the empty discs at a rim against the least that counts: thinned patches reach 1.19."""
-CORE = 40.0
+OPEN = 1.43
+"""Median radius of the empty discs at a rim, in pitches: patches thinned by half reach 1.37."""
+CORE = 28.0
 """Samples missing at the wide discs of a frayed rim."""
-ROUND = 0.85
+HALF = 0.5
+"""Share of a rim that must look at another part of it; half as much where the rim is an open edge."""
+ROUND = 0.6
 """Points of a rim against the circle round as many missing samples."""
 
 
@@ -57,7 +59,7 @@ class Sampling:
     pitch: np.ndarray
     """Square root of the area per sample, from the 8th neighbour, shape (n,) [m]."""
     unit: np.ndarray
-    """Median pitch of the neighbours, shape (n,) [m]."""
+    """Smoothed pitch: mean over the neighbours of their neighbours' medians, shape (n,) [m]."""
     normals: np.ndarray
     """Plane fits, of either sign, shape (n, 3)."""
     flat: np.ndarray
@@ -75,7 +77,7 @@ def sampling_of(points: np.ndarray) -> Sampling:
     distance, nearest = tree.query(points, min(NEIGHBOURS + 1, len(points)), workers=-1)
     eighth = min(PITCH, distance.shape[1] - 1)
     pitch = distance[:, eighth] * np.sqrt(np.pi / (eighth + 0.5))
-    unit = np.median(pitch[nearest], axis=1)
+    unit = np.median(pitch[nearest], axis=1)[nearest].mean(axis=1)
     fits = plane_fits(points, nearest[:, :FIT])
     unit = np.where(unit > 0, unit, np.median(unit[unit > 0]) if (unit > 0).any() else 1.0)
     thickness = fits.thickness / unit
@@ -93,8 +95,9 @@ def sampling_of(points: np.ndarray) -> Sampling:
 def rims_of(sampling: Sampling, *, missing: float = MISSING) -> tuple[list[Rim], list[Rim]]:
     """Rims of the holes, and of gaps that are too small to be planned for."""
     radii = cell_radii(sampling.tree, sampling.normals, sampling.nearest[:, 1:], sampling.unit)
-    least = max(LEAST, float(np.percentile(radii, 90)))
-    weak = least - (LEAST - WEAK)
+    usual = float(np.percentile(radii, 90))
+    least, weak = max(LEAST, 1.08 * usual), max(WEAK, 1.05 * usual)
+    missing = missing * (least / LEAST) ** 2
     suspects = np.flatnonzero((radii > weak) & sampling.flat)
     if not len(suspects):
         return [], []
@@ -102,7 +105,8 @@ def rims_of(sampling: Sampling, *, missing: float = MISSING) -> tuple[list[Rim],
     order = np.argsort(found.label, kind="stable")
     groups = np.split(order, np.cumsum(np.bincount(found.label))[:-1])
     rims = [_open_rim(sampling, found, g, least) for g in groups if found.missing[found.label[g[0]]] > TINY]
-    rims = _joined(sampling, [r for r in rims if r is not None and _closed(sampling, r)])
+    rims = _joined(sampling, [r for r in rims if r is not None and _facing(sampling, r) >= HALF / 2])
+    rims = [r for r in rims if _closed(sampling, r)]
     return [r for r in rims if r.missing >= missing], [r for r in rims if r.missing < missing]
 
 
@@ -114,7 +118,7 @@ def _open_rim(sampling: Sampling, found: RimSet, group: np.ndarray, least: float
     enough samples by itself.
     """
     missing = float(found.missing[found.label[group[0]]])
-    wide = found.reach[group] > OPEN * least
+    wide = found.reach[group] > max(OPEN, 1.12 * least)
     if wide.mean() < 0.5:
         if not wide.any():
             return None
@@ -133,13 +137,17 @@ def _closed(sampling: Sampling, rim: Rim) -> bool:
     circle = 2.0 * np.sqrt(np.pi * rim.missing)
     if len(rim.points) < ROUND * circle:
         return False
-    points = sampling.points[rim.points]
-    if facing(points, rim.opening) >= 0.5:
+    if _facing(sampling, rim) >= HALF:
         return True
+    points = sampling.points[rim.points]
     unit = float(np.median(sampling.unit[rim.points]))
     loop = points[ordered_loop(points)]
     longest = np.linalg.norm(loop - np.roll(loop, -1, axis=0), axis=1).max()
-    return bool(longest < 6.0 * unit and inscribed_radius(loop) > 3.0 * unit)
+    return bool(inscribed_radius(loop) > (3.0 if longest < 6.0 * unit else 8.0) * unit)
+
+
+def _facing(sampling: Sampling, rim: Rim) -> float:
+    return facing(sampling.points[rim.points], rim.opening)
 
 
 def _joined(sampling: Sampling, rims: list[Rim]) -> list[Rim]:
