@@ -25,7 +25,7 @@ from scanmotion.motion.spline import JointSpline
 
 _CHECK_S = 0.002
 _LAST_CHECK_S = 0.0005
-_ROUNDS = 5
+_ROUNDS = 8
 _BEYOND = 0.002
 _JERK_SHARE = 0.997
 """Jerk is less smooth between the checked instants than the others and needs more of a margin."""
@@ -179,7 +179,7 @@ def _milder(
                 soft[first:end] = 0.0
     slower = np.interp(s, over.s, _running_max(log * over.bend, half))
     softer = np.interp(s, over.s, _running_max(soft, half))
-    return np.minimum(cap, x * np.exp(-2 * slower)), np.maximum(share * np.exp(-2 * softer), 0.05)
+    return np.minimum(cap, x * np.exp(-slower)), np.maximum(share * np.exp(-2 * softer), 0.05)
 
 
 def _stretched(law: TimeLaw, k: float) -> TimeLaw:

@@ -24,7 +24,7 @@ _JUMP = 4.0
 _EASE = 0.9
 """Share of the table's acceleration and jerk that its turn plans with; the rest lets the arm's ramps in."""
 _FINE = 1600
-_STEP_S = 0.15
+_STEP_S = 0.1
 """Greatest time between points of a way on which the table turns [s]."""
 
 
@@ -101,16 +101,26 @@ def with_table(cell: Cell, arm: np.ndarray) -> np.ndarray:
     steps = np.linalg.norm(np.diff(positions(cell, arm), axis=0), axis=1) / limits.tcp
     steps = np.maximum(steps, (np.abs(np.diff(arm[:, :_TABLE], axis=0)) / limits.v[:_TABLE]).max(axis=1))
     arm_s = np.concatenate([[0.0], np.cumsum(steps)])
+    slope = np.abs(np.diff(arm[:, :_TABLE], axis=0)).max(axis=0) / max(float(steps.min()), 1e-9)
+    slope = np.maximum(np.minimum(slope, limits.v[:_TABLE]), 1e-9)
+    drive = ruckig_law(
+        max(float(arm_s[-1]), 1e-6),
+        1.0,
+        float((limits.a[:_TABLE] / slope).min()),
+        float((limits.j[:_TABLE] / slope).min()),
+    )
     table = ruckig_law(abs(turn), limits.v[_TABLE], _EASE * limits.a[_TABLE], _EASE * limits.j[_TABLE])
-    total = max(arm_s[-1], table.duration)
+    total = max(drive.duration, table.duration)
     fine = np.linspace(0.0, 1.0, _FINE)
+    along = drive(fine * drive.duration)[:, 0]
     angle = np.sign(turn) * table(fine * table.duration)[:, 0]
-    pace = arm_s[-1] * np.diff(fine) + np.abs(np.diff(angle)) / limits.v[_TABLE]
+    pace = np.diff(along) + np.abs(np.diff(angle)) / limits.v[_TABLE]
     place = np.concatenate([[0.0], np.cumsum(pace)])
     count = max(len(arm) - 1, int(np.ceil(total / _STEP_S)))
     while True:
         at = np.interp(np.linspace(0.0, place[-1], count + 1), place, fine)
-        q = np.column_stack([np.interp(at * arm_s[-1], arm_s, arm[:, k]) for k in range(_TABLE)])
+        here = np.interp(at, fine, along)
+        q = np.column_stack([np.interp(here, arm_s, arm[:, k]) for k in range(_TABLE)])
         q = np.column_stack([q, arm[0, _TABLE] + np.interp(at, fine, angle)])
         q[0], q[-1] = arm[0], arm[-1]
         steps = step_counts(q, positions(cell, q))
