@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from scanmotion.errors import InputError
 from scanmotion.scan.simulate import Scan
@@ -103,9 +104,38 @@ def fuse_points(raw: RawPoints, *, voxel: float = 0.002, radius: float | None = 
     points, normals, misfit = _fitted(
         raw, unique, shape, start, order, mean, view, min(radius or voxel, voxel)
     )
-    counts = np.diff(start)
-    keep = np.logical_not((misfit < 0) & (counts < 2))
-    return Cloud(points=points[keep], normals=normals[keep], view_directions=view[keep], counts=counts[keep])
+    normals, lone = _sparse_spots(points, normals, view, misfit < 0, voxel)
+    keep = np.logical_not(lone)
+    return Cloud(
+        points=points[keep], normals=normals[keep], view_directions=view[keep],
+        counts=np.diff(start)[keep],
+    )  # fmt: skip
+
+
+def _sparse_spots(
+    points: np.ndarray, normals: np.ndarray, view: np.ndarray, unfitted: np.ndarray, voxel: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normals of the voxels that hold too few points for a fit, and which voxels stand alone.
+
+    A sparse spot has other voxels about it and takes its normal from theirs; a flying pixel has not: fewer
+    than three within three edges.
+    """
+    lone = np.zeros(len(points), bool)
+    where = np.flatnonzero(unfitted)
+    if len(where) == 0:
+        return normals, lone
+    if len(points) < 4:
+        lone[where] = True
+        return normals, lone
+    d, k = cKDTree(points).query(points[where], k=min(9, len(points)))
+    near = d <= 3.0 * voxel
+    lone[where] = near.sum(axis=1) < 4
+    weight = near[..., None] / near.sum(axis=1)[:, None, None]
+    offset = points[k] - (weight * points[k]).sum(axis=1)[:, None]
+    fit = np.linalg.eigh(np.einsum("nki,nkj->nij", weight * offset, offset))[1][:, :, 0]
+    fit *= np.where(np.einsum("ij,ij->i", fit, view[where]) < 0, -1.0, 1.0)[:, None]
+    normals[where] = fit
+    return normals, lone
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -9,13 +9,14 @@ def hull_rows(points: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndar
     """Interval of x that the convex hull of plane points spans at each height y of `rows`.
 
     Args:
-        points: shape (n, 2).
+        points: at least two, shape (n, 2).
         rows: heights, shape (m,).
 
     Returns:
         least and greatest x, shape (m,) each; least > greatest where the hull does not reach.
     """
-    order = np.argsort(points[:, 1])
+    order = np.argsort(points[:, 0])
+    order = order[np.argsort(points[order, 1], kind="mergesort")]
     low = np.full(len(rows), np.inf)
     high = np.full(len(rows), -np.inf)
     for side in (1.0, -1.0):
