@@ -38,16 +38,18 @@ _ORDERS = TourOptions(population=30, generations=60, bound_rounds=0)
 class SequenceOptions:
     """How hard to search; every number counts work, none counts seconds."""
 
-    states: int = 1600
+    states: int = 3000
     """Configurations in the search at once, over all stops."""
-    most_per_stop: int = 40
+    most_per_stop: int = 80
     """Greatest number of configurations of one stop in the search at once."""
+    starts: int = 3
+    """Independent searches, of which the best counts; fewer are made of over 20 stops."""
     rounds: int = 8
     """Greatest number of searches, each over the configurations that suit the order of the one before; the
     first that gains nothing is followed by searches over twice as many. Fewer are made of over 75 stops."""
-    population: int = 6
+    population: int = 5
     """Orders kept by the genetic algorithm."""
-    generations: int = 12
+    generations: int = 10
     """Children made in each round."""
     effort: int = 20_000_000
     """Places tried when stops are taken out and put back, in each round over all children."""
@@ -57,6 +59,19 @@ class SequenceOptions:
     """Steps between the table angles from which a revolution may start [deg]."""
     sweep_ways: int = 12
     """Joint paths kept for each sweep and direction before windings of the table."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Ordered:
+    """Groups in an order, each in one of its ways."""
+
+    groups: list[Group]
+    order: list[int]
+    """Indices of the groups as they are visited."""
+    ways: list[int]
+    """The way of each, in that order."""
+    cost: float
+    """[s]"""
 
 
 def sequence(
@@ -104,10 +119,11 @@ def sequence(
         from scanmotion.cell.kinematics import scanner_in_object
 
         p_OS = np.asarray(scanner_in_object(cell, start_q[None]))[0, :3, 3]
-        order, states = paper_order(groups, viewpoints, p_OS, start_q, rng, options.orders)
+        order, ways = paper_order(groups, viewpoints, p_OS, start_q, rng, options.orders)
     else:
-        groups, order, states = _fastest_order(model, groups, start_q, rng, options)
-    stops = tuple(_stop(groups[g], s) for g, s in zip(order, states, strict=True))
+        best = _fastest_order(model, groups, start_q, rng, options)
+        groups, order, ways = best.groups, best.order, best.ways
+    stops = tuple(_stop(groups[g], w) for g, w in zip(order, ways, strict=True))
     return Tour(
         start_q=start_q,
         stops=stops,
@@ -176,6 +192,10 @@ def _groups(
         for run in straight_runs(sorted(members, key=lambda r: natural(r.viewpoint.id))):
             sweep = sweep_group(cell, model, run, e1_range, path_free, options.sweep_ways)
             groups += [sweep] if sweep else [dwell_group(r, model, e1_range) for r in run]
+    for group in groups:
+        if not len(group):
+            unplaced += [(v, "the table's range holds none of its angles") for v in group.viewpoints]
+    groups = [g for g in groups if len(g)]
     return sorted(groups, key=lambda g: (g.stage, natural(g.viewpoints[0]))), unplaced
 
 
@@ -185,36 +205,47 @@ def _fastest_order(
     start_q: np.ndarray,
     rng: np.random.Generator,
     options: SequenceOptions,
-) -> tuple[list[Group], list[int], list[int]]:
-    """Groups thinned to the ways of the best search, the order over them, and the way of each."""
+) -> Ordered:
+    """The best of several independent searches."""
     if not groups:
-        return groups, [], []
+        return Ordered(groups=groups, order=[], ways=[], cost=0.0)
+    starts = int(np.clip(60 // len(groups), 1, options.starts))
+    found = [_one_start(model, groups, start_q, rng, options) for _ in range(starts)]
+    return min(found, key=lambda f: f.cost)
+
+
+def _one_start(
+    model: MoveModel,
+    groups: list[Group],
+    start_q: np.ndarray,
+    rng: np.random.Generator,
+    options: SequenceOptions,
+) -> Ordered:
+    """Rounds of search, each over the ways that suit the order of the best so far."""
     per_stop = int(np.clip(options.states // len(groups), 4, options.most_per_stop))
     between: list[Between] = [(start_q, None)] * len(groups)
-    order, best = np.arange(len(groups)), np.inf
-    result: tuple[list[Group], list[int], list[int]] = (groups, [], [])
+    best = Ordered(groups=groups, order=list(range(len(groups))), ways=[], cost=np.inf)
     width = 1
     for _ in range(int(np.clip(600 // len(groups), min(3, options.rounds), options.rounds))):
         few = [thinned(g, model, width * per_stop, *b) for g, b in zip(groups, between, strict=True)]
-        order, states, cost, first = _searched(model, few, start_q, order, rng, options)
-        if cost >= best - 1e-3:
-            if width > 1:
-                break
-            width, order = 2, np.array(result[1])
-            continue
-        ways = [int(s - first[g]) for g, s in zip(order, states, strict=True)]
-        best, result = cost, (few, [int(g) for g in order], ways)
-        between = _neighbours(result, start_q)
-    return result
+        found = _searched(model, few, start_q, np.array(best.order), rng, options)
+        if found.cost < best.cost - 1e-3:
+            best = found
+            between = _neighbours(best, start_q)
+        elif width == 1:
+            width = 2
+        else:
+            break
+    return best
 
 
 Between = tuple[np.ndarray | None, np.ndarray | None]
 """Configurations that the tour comes from and goes on to, where they are known."""
 
 
-def _neighbours(result: tuple[list[Group], list[int], list[int]], start_q: np.ndarray) -> list[Between]:
+def _neighbours(found: Ordered, start_q: np.ndarray) -> list[Between]:
     """What the tour does before and after each group."""
-    few, order, ways = result
+    few, order, ways = found.groups, found.order, found.ways
     between: list[Between] = [(None, None)] * len(few)
     for i, g in enumerate(order):
         before = few[order[i - 1]].leave.q[ways[i - 1]] if i > 0 else start_q
@@ -230,8 +261,8 @@ def _searched(
     order: np.ndarray,
     rng: np.random.Generator,
     options: SequenceOptions,
-) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """Genetic algorithm over the ways of `groups`: order, states, cost and first state of each group."""
+) -> Ordered:
+    """Genetic algorithm over the order and the ways of `groups`."""
     first = np.cumsum([0] + [len(g) for g in groups])
     served = np.concatenate([g.seconds for g in groups])
     enter, leave = joined([g.enter for g in groups]), joined([g.leave for g in groups])
@@ -247,8 +278,11 @@ def _searched(
     most = max(1, min(8, m // 2))
     tail = served / 2
     CT = np.ascontiguousarray(C.T)
-    found = search(C, CT, head, tail, first, partner, stage, seeds, options.generations, shakes, most, state)
-    return found[0], found[1], float(found[2]), first
+    found, states, cost = search(
+        C, CT, head, tail, first, partner, stage, seeds, options.generations, shakes, most, state
+    )
+    ways = [int(s - first[g]) for g, s in zip(found, states, strict=True)]
+    return Ordered(groups=groups, order=[int(g) for g in found], ways=ways, cost=float(cost))
 
 
 def _seeds(
