@@ -477,3 +477,22 @@ def test_a_sweep_that_stands_still_is_refused(kr240_cell):
         tour = Tour(start_q=q, stops=(stop,), seconds=0.0, floor=0.0)
         with pytest.raises(TimingError, match=words):
             time_plan(kr240_cell, tour, [Path(q=np.array([q, q]), seconds=0.0, method="joint")])
+
+
+def test_a_sweep_that_changes_the_arms_configuration_is_refused(kr240_cell, timed):
+    from scanmotion.motion.timing import time_plan
+
+    tour, _, _ = timed
+    stop = next(s for s in tour.stops if s.kind == "sweep")
+    flipped = stop.path.copy()
+    half = len(flipped) // 2
+    # The same poses by the wrist's other branch from the middle on.
+    flipped[half:, 3] -= np.pi * np.sign(flipped[half:, 3])
+    flipped[half:, 4] *= -1
+    flipped[half:, 5] -= np.pi * np.sign(flipped[half:, 5])
+    assert np.abs(scanner(kr240_cell, flipped) - scanner(kr240_cell, stop.path)).max() < 1e-9
+    bad = Stop(viewpoints=("S1",), kind="sweep", q_in=flipped[0], q_out=flipped[-1], path=flipped)
+    tour = Tour(start_q=flipped[0], stops=(bad,), seconds=0.0, floor=0.0)
+    with pytest.raises(TimingError, match="leaves its line") as caught:
+        time_plan(kr240_cell, tour, [Path(q=flipped[[0, 0]], seconds=0.0, method="joint")])
+    assert caught.value.value > caught.value.limit

@@ -241,6 +241,41 @@ def test_a_pure_table_move_takes_the_tables_time(kr240_cell, sides):
     assert closed * 0.99 <= best <= closed * 1.06
 
 
+def test_transits_round_a_carving_keep_the_clearance_exactly():
+    """The driven curves, sampled anew and judged by the exact tier alone."""
+    from scanmotion.cell.clearance import Clearance
+    from scanmotion.cell.config import load_cell
+    from scanmotion.cell.kinematics import branches
+    from scanmotion.cell.plant import build_cell
+    from scanmotion.motion.drive import transit_spline
+    from scanmotion.motion.transit import transit
+    from scanmotion.part import carving
+    from scanmotion.viewpoints.viewpoint import look_at
+
+    cell = build_cell(load_cell("kr240"), carving())
+    clearance = Clearance(cell)
+    centre = cell.X_WT[:3, 3] + [0.0, 0.0, 0.1]
+    rng = np.random.default_rng(4)
+    at = np.asarray(cell.home, dtype=float)
+    for _ in range(6):
+        goal = None
+        while goal is None:
+            way = rng.normal(size=3) * [1, 1, 0.5]
+            way = way / np.linalg.norm(way)
+            X_WS = look_at(centre + 0.8 * way, -way, roll=rng.uniform(-np.pi, np.pi))
+            q = branches(cell, X_WS[None], windings=False).q
+            q = np.column_stack([q, np.full(len(q), rng.uniform(-np.pi, np.pi))])
+            free = q[clearance.free(q)] if len(q) else q
+            goal = free[rng.integers(len(free))] if len(free) else None
+        path = transit(cell, clearance, at, goal, rng=rng)
+        curve = transit_spline(cell, path.q)
+        samples = curve(np.sort(rng.uniform(0.0, curve.end, 120)))
+        lowered = Clearance(cell, clearance=clearance.clearance - 0.008)
+        assert lowered.free(samples).all()
+        assert min(lowered.distance(row)[0] for row in samples[::12]) > 0.0
+        at = goal
+
+
 # --- the planner ----------------------------------------------------------------------------------------
 
 

@@ -24,6 +24,8 @@ SAMPLE_S = 0.01
 """Distance of the written samples; operations end on whole samples [s]."""
 _SAME_Q = 1e-6
 _STILL = 1e-9
+_LINE_M = 1e-3
+"""How far a sweep may pass beside the straight lines between the points that it was given [m]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -132,7 +134,21 @@ def _sweep_spline(cell: Cell, stop: Stop) -> JointSpline:
     keep = np.concatenate([[True], steps > 1e-6])
     if keep.sum() < 2:
         raise TimingError(f"sweep {name} does not move the scanner")
-    return spline_through(q[keep], np.concatenate([[0.0], np.cumsum(steps[keep[1:]])]))
+    at = np.concatenate([[0.0], np.cumsum(steps[keep[1:]])])
+    path = spline_through(q[keep], at)
+    s = parameter_grid(path)
+    p = scanner_in_object(cell, path(s))[:, :3, 3]
+    nodes = scanner_in_object(cell, q[keep])[:, :3, 3]
+    beside = max(float(np.abs(p[:, k] - np.interp(s, at, nodes[:, k])).max()) for k in range(3))
+    if beside > _LINE_M:
+        raise TimingError(
+            f"sweep {name} leaves its line by {1000 * beside:.1f} mm between two of its points: "
+            "they are too far apart or in two configurations of the arm",
+            joint="tcp",
+            value=beside,
+            limit=_LINE_M,
+        )
+    return path
 
 
 def _driven(cell: Cell, stop: Stop, path: JointSpline, speed: float) -> Motion:

@@ -23,6 +23,7 @@ from scanmotion.viewpoints.loops import (
     ordered_loop,
     outward,
     vector_area,
+    winding,
 )
 from scanmotion.viewpoints.meshloops import MeshLoops, mesh_loops
 from scanmotion.viewpoints.orient import signs_by_spanning_tree
@@ -54,6 +55,11 @@ class Hole:
     """Loops of the islands inside, each (k, 3) [m]."""
     indices: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     """Indices of the boundary in the cloud or mesh, shape (k,)."""
+
+    @property
+    def outer(self) -> int:
+        """How many boundary points belong to the outer loop."""
+        return len(self.boundary) - sum(len(one) for one in self.islands)
 
     def __post_init__(self) -> None:
         for name in ("boundary", "center", "normal", "X_OH", "extent", "indices"):
@@ -139,7 +145,44 @@ def holes_from_cloud(
     out = _out_of(sampling, cloud.directions) if rims or tiny else sampling.normals
     holes = [_hole_from_rim(sampling.points, out, rim, cloud.first) for rim in rims + tiny]
     small = [i >= len(rims) if min_size is None else h.perimeter < min_size for i, h in enumerate(holes)]
+    holes, small = _islands_put_in(holes, small)
     return _report(holes, small, len(points), radius, notes)
+
+
+def _islands_put_in(holes: list[Hole], small: list[bool]) -> tuple[list[Hole], list[bool]]:
+    """Rims that look outwards and lie inside another hole's loop become its islands."""
+    inside: dict[int, list[int]] = {}
+    for i, one in enumerate(holes):
+        hosts = [j for j, host in enumerate(holes) if one.kind == "edge" and j != i and _lies_in(one, host)]
+        if hosts:
+            inside.setdefault(min(hosts, key=lambda j: holes[j].perimeter), []).append(i)
+    taken = {i for group in inside.values() for i in group}
+    out = [
+        _with_islands(hole, [holes[i] for i in inside[j]]) if j in inside else hole
+        for j, hole in enumerate(holes)
+    ]
+    kept = [j for j in range(len(holes)) if j not in taken]
+    return [out[j] for j in kept], [small[j] for j in kept]
+
+
+def _lies_in(one: Hole, host: Hole) -> bool:
+    """Whether a rim lies wholly inside another's loop, near its middle plane."""
+    outer = (host.boundary[: host.outer] - host.center) @ host.X_OH[:3, :3]
+    inner = (one.boundary - host.center) @ host.X_OH[:3, :3]
+    near = np.abs(inner[:, 2]).max() <= 0.5 * host.extent[2] + 0.25 * host.extent[1]
+    return bool(near and (winding(outer[:, :2], inner[:, :2]) != 0).all())
+
+
+def _with_islands(host: Hole, islands: list[Hole]) -> Hole:
+    area = host.area - sum(one.area for one in islands)
+    return replace(
+        host,
+        boundary=np.concatenate([host.boundary, *(one.boundary for one in islands)]),
+        indices=np.concatenate([host.indices, *(one.indices for one in islands)]),
+        islands=(*host.islands, *(one.boundary for one in islands)),
+        area=max(area, 0.0),
+        kind="island",
+    )
 
 
 def _nothing(n: int, radius: float, notes: tuple[str, ...]) -> HoleReport:

@@ -214,14 +214,17 @@ def _calipers(plane: np.ndarray) -> float:
 def outward(normals: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, float]:
     """Outward direction of the missing patch, and how well the rim agrees on it (length of the mean).
 
-    A flat hole's rim normals agree; round an open end (the foot of a hollow statue) they cancel while the
-    directions in which the surface would go on agree. The sum serves both and all between.
+    Where the rim's normals agree (length of their mean from 0.5 on) it is their mean. Round an open end, as
+    the foot of a hollow statue, they cancel, while the directions in which the surface would go on agree: the
+    sum of both means serves there.
 
     Args:
         normals: outward unit normals at the rim, shape (k, 3).
         opening: unit vectors from the rim into the hole, shape (k, 3).
     """
-    mean = normals.mean(axis=0) + opening.mean(axis=0)
+    mean = normals.mean(axis=0)
+    if np.linalg.norm(mean) < 0.5:
+        mean = mean + opening.mean(axis=0)
     length = float(np.linalg.norm(mean))
     if length < 1e-9:
         return normals[0], 0.0

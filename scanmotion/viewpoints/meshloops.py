@@ -28,8 +28,7 @@ class MeshLoops:
 def mesh_loops(vertices: np.ndarray, triangles: np.ndarray) -> MeshLoops:
     """Welds equal vertices, drops degenerate triangles, and walks the boundary.
 
-    Where loops touch in one vertex they stay apart: the two boundary edges of one fan of triangles belong
-    together.
+    The walk keeps to the triangles: holes that touch in one vertex have one rim, which passes it twice.
 
     Args:
         vertices: shape (n, 3) [m]. triangles: indices, shape (m, 3).
@@ -70,7 +69,6 @@ def mesh_loops(vertices: np.ndarray, triangles: np.ndarray) -> MeshLoops:
 
 def _walk(faces: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Loops as vertices in order, and the half-edge (corner * m + face) from each to the next."""
-    m = len(faces)
     tail = faces.T.ravel()
     head = np.roll(faces, -1, axis=1).T.ravel()
     key = np.minimum(tail, head).astype(np.int64) * (faces.max(initial=0) + 1) + np.maximum(tail, head)
@@ -84,7 +82,7 @@ def _walk(faces: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
     pinched = {v for v, edges in ends.items() if len(edges) > 2}
     around = _faces_around(faces, pinched)
     for v, edges in ends.items():
-        pairs = [tuple(edges)] if len(edges) == 2 else _pairs(v, edges, faces, around[v], m)
+        pairs = [tuple(edges)] if len(edges) == 2 else _pairs(v, edges, faces, around[v])
         for a, b in pairs:
             partner[v, a], partner[v, b] = b, a
     return _follow(border, tail, head, partner)
@@ -100,8 +98,17 @@ def _faces_around(faces: np.ndarray, vertices: set[int]) -> dict[int, list[int]]
     return around
 
 
-def _pairs(v: int, edges: list[int], faces: np.ndarray, around: list[int], m: int) -> list[tuple[int, int]]:
+def _pairs(v: int, edges: list[int], faces: np.ndarray, around: list[int]) -> list[tuple[int, int]]:
     """The boundary edges at a pinched vertex, paired by the fan of triangles that they bound."""
+    fan = _fans(v, faces, around)
+    by_fan: dict[int, list[int]] = {}
+    for edge in edges:
+        by_fan.setdefault(fan[edge % len(faces)], []).append(edge)
+    return [(group[i], group[i + 1]) for group in by_fan.values() for i in range(0, len(group) - 1, 2)]
+
+
+def _fans(v: int, faces: np.ndarray, around: list[int]) -> dict[int, int]:
+    """Number of the fan of each triangle at v: those that share a spoke belong together."""
     fan = {f: f for f in around}
     by_spoke: dict[int, list[int]] = {}
     for f in around:
@@ -113,10 +120,7 @@ def _pairs(v: int, edges: list[int], faces: np.ndarray, around: list[int], m: in
         for f in fan:
             if fan[f] in roots:
                 fan[f] = min(roots)
-    by_fan: dict[int, list[int]] = {}
-    for edge in edges:
-        by_fan.setdefault(fan[edge % m], []).append(edge)
-    return [(group[i], group[i + 1]) for group in by_fan.values() for i in range(0, len(group) - 1, 2)]
+    return fan
 
 
 def _follow(border, tail, head, partner) -> tuple[list[np.ndarray], list[np.ndarray]]:

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from scanmotion.errors import HoleError
 
-_MAX_CELLS = 160
+_MAX_CELLS = 220
 """Greatest number of grid cells along the longest side."""
 
 
@@ -60,7 +60,7 @@ def closed_model(
     if len(points) < 50:
         raise HoleError(f"{len(points)} points are too few to close a surface; at least 50 are needed")
     low, high = points.min(axis=0), points.max(axis=0)
-    cell = max(2.0 * spacing, float((high - low).max()) / _MAX_CELLS)
+    cell = max(1.25 * spacing, float((high - low).max()) / _MAX_CELLS)
     pad = 8
     origin = low - pad * cell
     shape = tuple(int(n) for n in np.ceil((high - low) / cell).astype(int) + 2 * pad + 1)

@@ -20,7 +20,7 @@ PITCH = 8
 WEAK = 1.0
 """Radius of an empty disc that joins two larger ones: a gap may be narrower in places."""
 LEAST = 1.15
-"""Radius of an empty disc that counts, in pitches; evenly spread samples leave 0.7 to 1.1, random ones 1.5."""
+"""Radius of an empty disc that counts, in pitches; even samples leave 0.7 to 1.1, random ones 1.5."""
 FOLDED = 0.42
 """Thickness of a neighbourhood, in pitches, over which it has no tangent plane; a right angle has 0.45."""
 MISSING = 20.0
@@ -105,8 +105,8 @@ def rims_of(sampling: Sampling, *, missing: float = MISSING) -> tuple[list[Rim],
     order = np.argsort(found.label, kind="stable")
     groups = np.split(order, np.cumsum(np.bincount(found.label))[:-1])
     rims = [_open_rim(sampling, found, g, least) for g in groups if found.missing[found.label[g[0]]] > TINY]
-    rims = _joined(sampling, [r for r in rims if r is not None and _facing(sampling, r) >= HALF / 2])
-    rims = [r for r in rims if _closed(sampling, r)]
+    whole = [r for r in rims if r is not None and (_facing(sampling, r) > HALF / 2 or _closed(sampling, r))]
+    rims = [r for r in _joined(sampling, whole) if _closed(sampling, r)]
     return [r for r in rims if r.missing >= missing], [r for r in rims if r.missing < missing]
 
 

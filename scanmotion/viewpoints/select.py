@@ -27,7 +27,7 @@ from scanmotion.viewpoints.stepped_rotary import UPRIGHT
 from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
 
 Reachable = Callable[[np.ndarray], np.ndarray]
-STATION_S, REVOLUTION_S = 4.0, 12.0
+STATION_S, REVOLUTION_S = 3.3, 10.8
 """What a station and a revolution cost with the way there, for weighing them against each other [s]."""
 _CONE = np.deg2rad(65.0)
 
@@ -42,14 +42,16 @@ class SelectOptions:
     """Most places around which candidates are made."""
     directions: int = 21
     """Viewing directions about each seed's normal."""
-    standoffs: tuple[float, ...] = (0.45, 0.70)
+    standoffs: tuple[float, ...] = (0.45, 0.70, 0.93)
     """Distances of the camera from the seed [m]."""
     rolls: tuple[float, ...] = (0.0, np.pi / 2)
     """Rolls about the optical axis [rad]."""
     candidates: int = 4000
     """Most candidates that are scored."""
     gap: float = 0.005
-    """A model's triangle farther than this from the data is unseen [m]."""
+    """A model's triangle farther than this from the data is unseen in any case [m]."""
+    probes: int = 30_000
+    """Points spread over the model to find what no frame has seen."""
     goal: float = 0.998
     """Share of what the candidates can see of the targets at which the choice ends."""
     most: int = 16
@@ -92,6 +94,7 @@ def local_step(
     spacing: float,
     table_radius: float,
     table_z: float = 0.0,
+    frames: np.ndarray | None = None,
     reachable: Reachable | None = None,
     prefix: str = "L",
     options: SelectOptions | None = None,
@@ -107,6 +110,8 @@ def local_step(
         spacing: of the points [m].
         table_radius: of the table's disc [m].
         table_z: its height in O [m].
+        frames: poses X_OS of the frames taken so far, shape (k, 4, 4): what none of them sees of the model is
+            a target too, narrow strips under ledges above all; None where they are not known.
         reachable: tells which poses (n, 4, 4) the robot reaches; None for all.
         prefix: of the viewpoints' ids.
         options: how finely to look.
@@ -115,10 +120,12 @@ def local_step(
     options = options or SelectOptions()
     model = closed_model(points, normals, spacing=spacing, table_z=table_z)
     scene = scene_from(model.vertices, model.triangles, table_radius=table_radius, table_z=table_z)
-    targets, target_normals, area = _targets(model, options, table_z, rng)
+    targets, target_normals, area = _targets(model, scene, scanner, frames, options, table_z, rng)
     if len(targets) == 0:
         return LocalStep(viewpoints=(), unseen=(), model=model, targets=targets, gains=())
-    poses, kinds = _candidates(scene, scanner, model, targets, target_normals, holes, options, table_z)
+    poses, kinds = _candidates(
+        scene, scanner, model, targets, target_normals, holes, options, table_radius, table_z
+    )
     matrix = _scores(scene, scanner, poses, kinds, targets, target_normals)
     reached = np.ones(len(poses), bool) if reachable is None else np.asarray(reachable(poses), dtype=bool)
     cost = np.where(kinds, REVOLUTION_S, STATION_S)
@@ -138,23 +145,37 @@ def local_step(
 
 
 def _targets(
-    model: ClosedModel, options: SelectOptions, table_z: float, rng: np.random.Generator
+    model: ClosedModel,
+    scene: Scene,
+    scanner: Scanner,
+    frames: np.ndarray | None,
+    options: SelectOptions,
+    table_z: float,
+    rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Points spread by area over the unseen patches, their normals, and the area that each stands for."""
+    """Points spread by area over what is unseen, their normals, and the area that each stands for."""
     cross = model.crosses
     twice = np.linalg.norm(cross, axis=1)
-    centres = model.centres
+    edges = np.cumsum(twice)
+    pick = np.searchsorted(
+        edges, (np.arange(options.probes) + rng.random(options.probes)) / options.probes * edges[-1]
+    )
+    pick = np.clip(pick, 0, len(twice) - 1)
+    points, normals = model.centres[pick], cross[pick] / np.maximum(twice[pick, None], 1e-300)
     # What faces the table from less than a cell above stands on it.
-    base = (centres[:, 2] < table_z + model.cell) & (cross[:, 2] < -0.5 * twice)
-    unseen = np.flatnonzero((model.distance > max(options.gap, 1.2 * model.cell)) & ~base & (twice > 0))
-    if len(unseen) == 0:
-        return np.zeros((0, 3)), np.zeros((0, 3)), 0.0
-    total = twice[unseen].sum() / 2
-    n = int(min(options.targets, max(20, np.ceil(total / 16e-6))))
-    edges = np.cumsum(twice[unseen])
-    pick = np.searchsorted(edges, (np.arange(n) + rng.random(n)) / n * edges[-1])
-    chosen = unseen[np.clip(pick, 0, len(unseen) - 1)]
-    return centres[chosen], cross[chosen] / twice[chosen, None], float(total / n)
+    base = (points[:, 2] < table_z + model.cell) & (normals[:, 2] < -0.93)
+    far = model.distance[pick] > max(options.gap, 1.2 * model.cell)
+    unseen = far
+    if frames is not None:
+        known = base | far
+        seen = seen_by_any(scene, scanner, frames, points, normals, seen=known)
+        unseen = far | ~seen
+    index = np.flatnonzero(unseen & ~base)
+    area = float(edges[-1] / 2 / options.probes)
+    if len(index) > options.targets:
+        area *= len(index) / options.targets
+        index = index[np.linspace(0, len(index) - 1, options.targets).astype(int)]
+    return points[index], normals[index], area
 
 
 def _spread(points: np.ndarray, most: int) -> np.ndarray:
@@ -175,6 +196,7 @@ def _candidates(
     normals: np.ndarray,
     holes: Sequence[Hole],
     options: SelectOptions,
+    table_radius: float,
     table_z: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses with a free line to their seed, (n, 4, 4), and which of them are revolutions, (n,)."""
@@ -186,40 +208,78 @@ def _candidates(
     x, y = tangents(faces)
     u = cone[None, :, :1] * x[:, None] + cone[None, :, 1:2] * y[:, None] + cone[None, :, 2:] * faces[:, None]
     poses = []
+    start = aims + 0.001 * faces
     for d in options.standoffs:
         eye = aims[:, None] + d * u
-        ok = eye[..., 2] > table_z + 0.08
-        i, j = np.nonzero(ok)
-        free = free_lines(scene, (aims[:, None] + 0.001 * faces[:, None] + 0 * u)[i, j], eye[i, j])
+        i, j = np.nonzero(_standing(eye, table_radius, table_z))
+        free = free_lines(scene, start[i], eye[i, j])
         poses += [
             look_at(eye[a, b], -u[a, b], roll=roll)
             for a, b in zip(i[free], j[free], strict=True)
             for roll in options.rolls
         ]
+    poses += _low(scene, aims, faces, start, table_radius, table_z)
     stations = np.array(poses).reshape(-1, 4, 4)
     if len(stations) > options.candidates:
         stations = stations[np.linspace(0, len(stations) - 1, options.candidates).astype(int)]
     # The projector must stand above the table too.
-    stations = stations[stations[:, 2, 3] + scanner.baseline * stations[:, 2, 0] > table_z + 0.05]
-    turns = _revolutions(model, scanner, table_z)
+    stations = stations[stations[:, 2, 3] + scanner.baseline * stations[:, 2, 0] > table_z + 0.01]
+    turns = _revolutions(model, scanner, table_radius, table_z)
     kinds = np.concatenate([np.zeros(len(stations), bool), np.ones(len(turns), bool)])
     return np.concatenate([stations, turns]), kinds
 
 
-def _revolutions(model: ClosedModel, scanner: Scanner, table_z: float) -> np.ndarray:
+def _standing(eye: np.ndarray, table_radius: float, table_z: float) -> np.ndarray:
+    """Where an eye (..., 3) can be: well above the table, or beside it and hardly below its top."""
+    beside = np.linalg.norm(eye[..., :2], axis=-1) > table_radius + 0.1
+    return eye[..., 2] > table_z + np.where(beside, 0.015, 0.08)
+
+
+def _low(
+    scene: Scene,
+    aims: np.ndarray,
+    faces: np.ndarray,
+    start: np.ndarray,
+    table_radius: float,
+    table_z: float,
+) -> list[np.ndarray]:
+    """Eyes beside the table that look up under what faces down."""
+    poses = []
+    azimuth = 2 * np.pi * np.arange(24) / 24
+    ring = np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+    for height in (0.02, 0.07, 0.13):
+        eye = np.empty((len(aims), 24, 3))
+        eye[..., :2] = ring * (table_radius + 0.17)
+        eye[..., 2] = table_z + height
+        line = eye - aims[:, None]
+        distance = np.linalg.norm(line, axis=2)
+        ok = (distance < 0.97) & (distance > 0.45)
+        ok &= np.einsum("ijk,ik->ij", line, faces) > 0.36 * distance
+        i, j = np.nonzero(ok)
+        free = free_lines(scene, start[i], eye[i, j])
+        poses += [
+            look_at(eye[a, b], -line[a, b], roll=UPRIGHT) for a, b in zip(i[free], j[free], strict=True)
+        ]
+    return poses
+
+
+def _revolutions(model: ClosedModel, scanner: Scanner, table_radius: float, table_z: float) -> np.ndarray:
     """A few whole turns at other inclinations and heights than the global step's, shape (n, 4, 4)."""
     radius = float(np.linalg.norm(model.vertices[:, :2], axis=1).max())
     height = float(model.vertices[:, 2].max())
     near, far = scanner.range
     poses = []
-    for tilt in np.deg2rad([-8.0, 8.0, 20.0, 42.0, 65.0, 80.0]):
+    for tilt in np.deg2rad([-22.0, -10.0, 8.0, 20.0, 42.0, 65.0, 80.0]):
         u = np.array([np.cos(tilt), 0.0, np.sin(tilt)])
         for distance in (near + radius * np.cos(tilt) + 0.03, 0.93 * far):
             for aim in (0.25, 0.75):
                 for side in (0.0, 0.5 * radius):
-                    p = np.array([side, 0.0, aim * height]) + distance * u
-                    if p[2] > table_z + 0.09:
-                        poses.append(look_at(p, -u, roll=UPRIGHT))
+                    target = np.array([side, 0.0, aim * height])
+                    p = target + distance * u
+                    if p[0] > table_radius + 0.1:
+                        p[2] = max(p[2], table_z + 0.02)
+                    if _standing(p, table_radius, table_z):
+                        poses.append(look_at(p, target - p, roll=UPRIGHT))
     return np.array(poses).reshape(-1, 4, 4)
 
 

@@ -134,7 +134,7 @@ def _cloud(points: np.ndarray, most: int) -> Any:
 def _draw_hole(node: Any, hole: Hole) -> None:
     import meshcat.geometry as mg
 
-    outer = hole.boundary[: len(hole.boundary) - sum(len(one) for one in hole.islands)]
+    outer = hole.boundary[: hole.outer]
     for name, loop in [("rim", outer), *((f"island{i}", one) for i, one in enumerate(hole.islands, start=1))]:
         material: Any = mg.LineBasicMaterial(color=RIM, linewidth=3)
         node[name].set_object(mg.LineLoop(mg.PointsGeometry(loop.T.astype(np.float32)), material))

@@ -16,7 +16,7 @@ UPRIGHT = -np.pi / 2
 _LOW_TILT = np.deg2rad(-5.0)
 _HIGH_TILT = np.deg2rad(30.0)
 _STEEP_TILT = np.deg2rad(55.0)
-_LEAST_HEIGHT = 0.09
+_LEAST_HEIGHT = 0.03
 """Least height of the optical centre above the table in the default mode [m]."""
 
 

@@ -1,0 +1,391 @@
+"""Holes of clouds and meshes: closed forms, kinds, invariances, false alarms, bad input, scored cases."""
+
+import importlib.util
+import json
+from argparse import Namespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from scanmotion.errors import HoleError
+from scanmotion.viewpoints.clouds import even_samples
+from scanmotion.viewpoints.holes import hole_report_to_json, holes_from_cloud, holes_from_mesh
+from scanmotion.viewpoints.literal import dbscan
+from scanmotion.viewpoints.loops import box_about, loop_length, ordered_loop, roundness, vector_area
+
+STEP = 0.002
+
+
+def even_sphere(n: int, radius: float = 0.1) -> np.ndarray:
+    """Fibonacci points of a sphere: even, none random."""
+    i = np.arange(n) + 0.5
+    z, a = 1 - 2 * i / n, np.pi * (1 + 5**0.5) * i
+    return radius * np.stack([np.sqrt(1 - z**2) * np.cos(a), np.sqrt(1 - z**2) * np.sin(a), z], axis=1)
+
+
+def cap_off(points: np.ndarray, axis, angle: float) -> np.ndarray:
+    """The sphere without a cap of the given half angle."""
+    unit = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return points[unit @ np.asarray(axis, float) < np.cos(angle)]
+
+
+def hex_plate(half: float = 0.06) -> np.ndarray:
+    """A square plate of hexagonally packed points, STEP apart."""
+    i, j = np.meshgrid(np.arange(-70, 71), np.arange(-70, 71))
+    xy = STEP * np.stack([i + 0.5 * (j % 2), j * np.sqrt(3) / 2], axis=-1).reshape(-1, 2)
+    xy = xy[np.abs(xy).max(axis=1) < half]
+    return np.column_stack([xy, np.zeros(len(xy))])
+
+
+def sphere_mesh(n: int = 2000) -> tuple[np.ndarray, np.ndarray]:
+    points = even_sphere(n)
+    faces = ConvexHull(points).simplices
+    normal = np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
+    inward = np.einsum("ij,ij->i", normal, points[faces[:, 0]]) < 0
+    return points, np.where(inward[:, None], faces[:, ::-1], faces)
+
+
+def inner_holes(report):
+    return [hole for hole in report.holes if hole.kind != "edge"]
+
+
+def test_disc_cut_from_a_plate_has_its_perimeter_and_area() -> None:
+    points = hex_plate()
+    points = points[np.linalg.norm(points[:, :2], axis=1) > 0.02]
+    (hole,) = inner_holes(holes_from_cloud(points, view_directions=np.tile([0.0, 0, 1], (len(points), 1))))
+    assert hole.kind == "common"
+    assert hole.perimeter == pytest.approx(2 * np.pi * 0.021, rel=0.08)
+    assert hole.area == pytest.approx(np.pi * 0.021**2, rel=0.06)
+    assert np.allclose(hole.center, 0, atol=STEP / 2)
+    assert np.allclose(hole.normal, [0, 0, 1])
+    assert np.allclose(hole.extent, [0.042, 0.042, 0], atol=STEP)
+    assert (np.linalg.norm(hole.boundary[:, :2], axis=1) < 0.02 + 2 * STEP).all()
+
+
+def test_the_outer_rim_of_a_plate_is_an_edge() -> None:
+    report = holes_from_cloud(hex_plate(), view_directions=np.tile([0.0, 0, 1], (len(hex_plate()), 1)))
+    (hole,) = report.holes
+    assert hole.kind == "edge"
+    assert hole.perimeter == pytest.approx(8 * 0.06, rel=0.1)
+    assert hole.area == pytest.approx(4 * 0.06**2, rel=0.1)
+
+
+@pytest.mark.parametrize("length", [0.045, 0.07])
+def test_a_slit_is_interstitial_and_one_hole(length: float) -> None:
+    points = hex_plate()
+    points = points[(np.abs(points[:, 0]) > length / 2) | (np.abs(points[:, 1]) > 2 * STEP)]
+    (hole,) = inner_holes(holes_from_cloud(points))
+    assert hole.kind == "interstitial"
+    assert hole.extent[0] == pytest.approx(length + STEP, abs=2 * STEP)
+    assert abs(hole.X_OH[:3, 0] @ [1, 0, 0]) > 0.99
+
+
+def test_an_island_is_told_from_a_common_hole() -> None:
+    points = hex_plate()
+    far = np.linalg.norm(points[:, :2], axis=1)
+    (hole,) = inner_holes(holes_from_cloud(points[(far > 0.03) | (far < 0.012)]))
+    assert hole.kind == "island"
+    assert len(hole.islands) == 1
+    assert hole.area == pytest.approx(np.pi * (0.031**2 - 0.011**2), rel=0.1)
+
+
+def test_two_holes_a_few_points_apart_stay_two() -> None:
+    points = hex_plate()
+    for x in (-0.02, 0.02):
+        points = points[np.linalg.norm(points[:, :2] - [x, 0], axis=1) > 0.015]
+    assert len(inner_holes(holes_from_cloud(points))) == 2
+
+
+def test_a_closed_surface_has_no_holes(rng) -> None:
+    for points in (even_sphere(8000), even_samples(*sphere_mesh(), 0.003, rng=rng)[0]):
+        report = holes_from_cloud(points)
+        assert report.holes == () and not report.boundary_mask.any()
+        assert "no hole found" in report.notes[-1]
+
+
+def test_a_box_with_sharp_edges_has_no_holes(rng) -> None:
+    side, sign = rng.integers(0, 3, 120000), rng.choice([-0.1, 0.1], 120000)
+    dense = rng.uniform(-0.1, 0.1, (120000, 3))
+    dense[np.arange(120000), side] = sign
+    report = holes_from_cloud(dense, voxel=0.003)
+    assert report.holes == ()
+
+
+def test_thin_wall_with_a_hole_in_one_side_only() -> None:
+    """Front and back 3 pitches apart: the back does not fill the front's hole."""
+    plate = hex_plate()
+    front = plate[np.linalg.norm(plate[:, :2], axis=1) > 0.015]
+    points = np.concatenate([front, plate - [0, 0, 3 * STEP]])
+    up = np.concatenate([np.tile([0.0, 0, 1], (len(front), 1)), np.tile([0.0, 0, -1], (len(plate), 1))])
+    (hole,) = inner_holes(holes_from_cloud(points, view_directions=up))
+    assert np.allclose(hole.center, 0, atol=STEP)
+    assert hole.normal[2] > 0.99
+
+
+def test_thinned_patches_are_no_holes(rng) -> None:
+    points = even_sphere(20000)
+    patch = (points @ [0, 0, 1.0] > 0.085) & (rng.random(20000) < 0.5)
+    assert holes_from_cloud(points[~patch]).holes == ()
+
+
+def test_holes_survive_flying_pixels_and_noise(rng) -> None:
+    points = cap_off(even_sphere(20000), [1, 0, 0], 0.25)
+    noisy = points + rng.normal(0, 1e-4, points.shape)
+    flying = rng.uniform(-0.15, 0.15, (len(points) // 100, 3))
+    report = holes_from_cloud(np.concatenate([noisy, flying]))
+    big = max(report.holes, key=lambda hole: hole.area)
+    assert big.area == pytest.approx(np.pi * (0.1 * np.sin(0.25)) ** 2, rel=0.15)
+    assert len(report.holes) == 1
+
+
+@given(seed=st.integers(0, 2**32 - 1), log_scale=st.floats(-2, 2))
+@settings(max_examples=8)
+def test_rigid_motion_scale_and_permutation(seed: int, log_scale: float) -> None:
+    rng = np.random.default_rng(seed)
+    points = cap_off(cap_off(even_sphere(6000), [0, 0, 1], 0.3), [1, 0, 0], 0.4)
+    report = holes_from_cloud(points, view_directions=points)
+    R, t, k = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3), 10.0**log_scale
+    order = rng.permutation(len(points))
+    moved = holes_from_cloud((k * points @ R.T + t)[order], view_directions=(points @ R.T)[order])
+    assert len(moved.holes) == len(report.holes) == 2
+    for one, two in zip(report.holes, moved.holes, strict=True):
+        assert two.kind == one.kind
+        assert two.perimeter == pytest.approx(k * one.perimeter, rel=0.03)
+        assert two.area == pytest.approx(k**2 * one.area, rel=0.03)
+        assert np.linalg.norm(two.center - (k * R @ one.center + t)) < 0.003 * k
+        assert two.normal @ R @ one.normal > 0.999
+
+
+def test_permuting_the_points_changes_nothing(rng) -> None:
+    points = cap_off(even_sphere(6000), [0, 1, 0], 0.3) + rng.normal(0, 1e-4, (1, 3))
+    order = rng.permutation(len(points))
+    for options in ({}, {"mode": "paper"}):
+        one = holes_from_cloud(points, view_directions=points, **options)
+        two = holes_from_cloud(points[order], view_directions=points[order], **options)
+        assert (one.boundary_mask[order] == two.boundary_mask).all()
+        assert json.dumps(hole_report_to_json(one)) == json.dumps(hole_report_to_json(two))
+
+
+def test_paper_mode_finds_the_cap() -> None:
+    points = cap_off(even_sphere(6000), [0, 1, 0], 0.3)
+    report = holes_from_cloud(points, mode="paper")
+    assert any(np.linalg.norm(hole.center - [0, 0.1 * np.cos(0.3), 0]) < 0.004 for hole in report.holes)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=25)
+def test_dbscan_against_its_definition(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.random((60, 3))
+    label = dbscan(points, 0.2, 4)
+    distance = np.linalg.norm(points[:, None] - points[None], axis=2)
+    core = (distance <= 0.2).sum(axis=1) >= 4
+    assert ((label < 0) == ~(distance[:, core] <= 0.2).any(axis=1)).all()
+    linked = (distance <= 0.2) & core[:, None] & core[None]
+    assert (label[np.nonzero(linked)[0]] == label[np.nonzero(linked)[1]]).all()
+    reach = linked | np.eye(60, dtype=bool)
+    for _ in range(6):
+        reach = (reach.astype(int) @ reach.astype(int)) > 0
+    same = label[:, None] == label[None]
+    assert (reach == same)[np.ix_(core, core)].all()
+    order = rng.permutation(60)
+    assert (dbscan(points[order], 0.2, 4) == label[order]).all()
+
+
+def test_mesh_loops_are_exact() -> None:
+    vertices, faces = sphere_mesh()
+    away = vertices[faces].mean(axis=1) @ [0, 0, 1.0] < 0.08
+    report = holes_from_mesh(vertices, faces[away])
+    (hole,) = report.holes
+    ends = np.concatenate([faces[away][:, [0, 1]], faces[away][:, [1, 2]], faces[away][:, [2, 0]]])
+    ends, count = np.unique(np.sort(ends, axis=1), axis=0, return_counts=True)
+    border = ends[count == 1]
+    assert hole.perimeter == pytest.approx(np.linalg.norm(np.diff(vertices[border], axis=1), axis=2).sum())
+    assert set(hole.indices) == set(border.ravel()) == set(np.flatnonzero(report.boundary_mask))
+    assert hole.normal[2] > 0.99 and hole.kind == "common"
+
+
+def test_mesh_holes_that_touch_in_a_vertex_have_one_rim() -> None:
+    i, j = np.meshgrid(np.arange(8), np.arange(8), indexing="ij")
+    vertices = np.column_stack([i.ravel(), j.ravel(), np.zeros(64)]).astype(float)
+    corner = (i * 8 + j)[:7, :7]
+    cell = np.stack([corner, corner + 8, corner + 9, corner + 1], axis=-1)
+    kept = np.ones((7, 7), bool)
+    kept[2, 2] = kept[3, 3] = False
+    quad = cell[kept]
+    faces = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
+    report = holes_from_mesh(vertices, faces, min_size=0.0, min_vertices=3)
+    assert sorted(round(hole.area, 9) for hole in report.holes) == [2.0, 49.0]
+
+
+def test_mesh_vertices_stored_once_per_triangle_are_welded() -> None:
+    vertices, faces = sphere_mesh(500)
+    soup = vertices[faces].reshape(-1, 3)
+    report = holes_from_mesh(soup, np.arange(len(soup)).reshape(-1, 3))
+    assert report.holes == () and report.tiny == ()
+
+
+def test_resampled_mesh_agrees_with_its_loops() -> None:
+    vertices, faces = sphere_mesh(8000)
+    faces = faces[vertices[faces].mean(axis=1) @ [0, 0, 1.0] < 0.09]
+    (loop,), (cloud,) = (
+        holes_from_mesh(vertices, faces).holes,
+        holes_from_mesh(vertices, faces, method="resample").holes,
+    )
+    assert np.linalg.norm(loop.center - cloud.center) < 0.005
+    assert cloud.area == pytest.approx(loop.area, rel=0.1)
+
+
+def test_small_loops_are_reported_as_tiny() -> None:
+    vertices, faces = sphere_mesh()
+    report = holes_from_mesh(vertices, faces[1:])
+    assert report.holes == () and len(report.tiny) == 1
+    assert "tiny" in report.notes[-1]
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_ordered_loop_of_a_convex_rim_is_its_hull(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(0, 2 * np.pi, 40)
+    rim = np.stack([2 * np.cos(angle), np.sin(angle), np.zeros(40)], axis=1)
+    loop = rim[ordered_loop(rim)]
+    assert loop_length(loop) == pytest.approx(loop_length(rim[np.argsort(angle)]), rel=1e-9)
+
+
+def test_loop_measures_of_a_rectangle() -> None:
+    x = np.concatenate(
+        [
+            np.linspace(0, 3, 30, endpoint=False),
+            np.full(10, 3),
+            np.linspace(3, 0, 30, endpoint=False),
+            np.zeros(10),
+        ]
+    )
+    y = np.concatenate(
+        [
+            np.zeros(30),
+            np.linspace(0, 1, 10, endpoint=False),
+            np.ones(30),
+            np.linspace(1, 0, 10, endpoint=False),
+        ]
+    )
+    R = Rotation.from_rotvec([0.3, -0.7, 1.1]).as_matrix()
+    loop = np.stack([x, y, np.zeros(80)], axis=1) @ R.T + [5, 6, 7]
+    assert loop_length(loop) == pytest.approx(8)
+    assert np.allclose(vector_area(loop), 3 * R[:, 2])
+    assert roundness(loop) == pytest.approx(0.5 / np.sqrt(3 / np.pi), rel=0.05)
+    X_OH, extent = box_about(loop, R[:, 2])
+    assert np.allclose(extent, [3, 1, 0], atol=1e-9)
+    assert np.allclose(X_OH[:3, 3], R @ [1.5, 0.5, 0] + [5, 6, 7])
+    assert np.allclose(X_OH[:3, :3].T @ X_OH[:3, :3], np.eye(3)) and np.linalg.det(X_OH[:3, :3]) > 0
+
+
+def test_json_is_in_the_files_units_and_frame() -> None:
+    vertices, faces = sphere_mesh()
+    faces = faces[vertices[faces].mean(axis=1) @ [0, 0, 1.0] < 0.08]
+    report = holes_from_mesh(vertices, faces)
+    X_OI = np.eye(4)
+    X_OI[:3, :3] = 1e-3 * Rotation.from_rotvec([np.pi / 2, 0, 0]).as_matrix()
+    X_OI[:3, 3] = [0.1, 0.2, 0.3]
+    (metres,), (placed,) = (
+        hole_report_to_json(report)["holes"],
+        hole_report_to_json(report, Namespace(X_OI=X_OI))["holes"],
+    )
+    back = np.array(placed["boundary_points"]) @ X_OI[:3, :3].T + X_OI[:3, 3]
+    assert np.allclose(back, metres["boundary_points"])
+    assert placed["perimeter"] == pytest.approx(1e3 * metres["perimeter"])
+    assert placed["area"] == pytest.approx(1e6 * metres["area"])
+    assert np.linalg.norm(placed["normal"]) == pytest.approx(1)
+    assert hole_report_to_json(report, "mm")["holes"][0]["extent"] == pytest.approx(
+        list(1e3 * report.holes[0].extent)
+    )
+    with pytest.raises(HoleError, match="furlong"):
+        hole_report_to_json(report, "furlong")
+
+
+def test_bad_clouds_are_refused_by_name() -> None:
+    points = even_sphere(200)
+    with pytest.raises(HoleError, match="2 points are fewer than the 31"):
+        holes_from_cloud(points[:2])
+    with pytest.raises(HoleError, match="10 distinct points"):
+        holes_from_cloud(np.tile(points[:10], (20, 1)))
+    with pytest.raises(HoleError, match="not finite"):
+        holes_from_cloud(np.where(np.arange(200)[:, None] == 7, np.inf, points))
+    with pytest.raises(HoleError, match="mode"):
+        holes_from_cloud(points, mode="fast")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(HoleError, match="eps"):
+        holes_from_cloud(cap_off(even_sphere(2000), [0, 0, 1], 0.5), eps=-1.0)
+    with pytest.raises(HoleError, match="view directions"):
+        holes_from_cloud(points, view_directions=points[:5])
+
+
+def test_bad_meshes_are_refused_by_name() -> None:
+    vertices, faces = sphere_mesh(100)
+    with pytest.raises(HoleError, match="no triangles"):
+        holes_from_mesh(vertices, np.zeros((0, 3), int))
+    with pytest.raises(HoleError, match=r"within 0 \.\. 99"):
+        holes_from_mesh(vertices, faces + 1)
+    with pytest.raises(HoleError, match="degenerate"):
+        holes_from_mesh(vertices, np.zeros((4, 3), int))
+    with pytest.raises(HoleError, match="not finite"):
+        holes_from_mesh(np.where(np.arange(100)[:, None] == 0, np.nan, vertices), faces)
+
+
+def test_points_on_a_line_have_no_surface() -> None:
+    report = holes_from_cloud(np.outer(np.linspace(0, 1, 100), [1.0, 2, 3]))
+    assert report.holes == () and "line" in report.notes[0]
+
+
+def test_copies_change_nothing_but_a_note() -> None:
+    points = cap_off(even_sphere(4000), [0, 0, 1], 0.3)
+    once, twice = holes_from_cloud(points), holes_from_cloud(np.concatenate([points, points]))
+    assert np.allclose(once.holes[0].boundary, twice.holes[0].boundary)
+    assert f"{len(points)} duplicate" in twice.notes[0]
+
+
+def scored(shared_tools, truth, report, tmp_path) -> dict:
+    """The score of the tool that cut the holes."""
+    spec = importlib.util.spec_from_file_location("hole_cases", shared_tools / "hole_cases.py")
+    assert spec and spec.loader
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    pred = tmp_path / "pred.json"
+    pred.write_text(json.dumps(hole_report_to_json(report, "mm")))
+    return tool.score(Namespace(truth=str(truth), pred=str(pred), tol=2.0, min_f1=0.5))
+
+
+CASES = ("hammer_cloud", "nefertiti_cloud", "relief_cloud", "ugolino_cloud", "hermes_mesh", "nefertiti_mesh")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_cut_cases(name: str, shared_data, shared_tools, tmp_path) -> None:
+    import open3d as o3d
+
+    path = shared_data / "holes" / f"{name}.ply"
+    if name.endswith("mesh"):
+        mesh = o3d.io.read_triangle_mesh(str(path))
+        report = holes_from_mesh(np.asarray(mesh.vertices) * 1e-3, np.asarray(mesh.triangles))
+    else:
+        report = holes_from_cloud(np.asarray(o3d.io.read_point_cloud(str(path)).points) * 1e-3)
+    result = scored(shared_tools, path.with_suffix(".json"), report, tmp_path)
+    assert result["hole_precision"] >= 0.95 and result["hole_recall"] >= 0.95
+    assert result["point_precision"] >= 0.9 and result["point_recall"] >= 0.9
+    assert result["false_on_decoys"] == 0
+
+
+@pytest.mark.parametrize(("name", "count"), [("stanford_bunny", 5), ("lion_statue", 1), ("sea_vase", 6)])
+def test_significant_loops_of_real_scans(name: str, count: int, shared_data) -> None:
+    import open3d as o3d
+
+    mesh = o3d.io.read_triangle_mesh(str(shared_data / f"{name}.ply"))
+    report = holes_from_mesh(np.asarray(mesh.vertices) * 1e-3, np.asarray(mesh.triangles))
+    truth = json.loads((shared_data / "gt" / f"{name}_loops.json").read_text())
+    significant = sorted(loop["perimeter_mm"] for loop in truth["loops"] if loop["significant"])
+    assert len(report.holes) == count
+    assert np.allclose(sorted(1e3 * hole.perimeter for hole in report.holes), significant, atol=0.01)
+    assert len(report.holes) + len(report.tiny) == truth["n_loops"]
