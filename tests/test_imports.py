@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1] / "scanmotion"
 FILES = sorted(p for p in ROOT.rglob("*.py") if "_models" not in p.parts)
 
-NOUNS = {"errors", "scanner", "partfile", "part", "trajectory"}
+NOUNS = {"errors", "compiled", "scanner", "partfile", "part", "trajectory"}
 LEAVES = {"verify", "judge", "export", "report", "show", "cli", "comparison", "figures"}
 MAY_IMPORT = {
     "viewpoints": NOUNS | {"viewpoints"},
@@ -122,3 +122,25 @@ def test_every_public_name_loads():
     assert len(scanmotion.__all__) <= 20
     for name in scanmotion.__all__:
         assert getattr(scanmotion, name) is not None
+
+
+def test_loops_on_threads_take_them_from_one_place():
+    for path in FILES:
+        if "parallel=True" in path.read_text():
+            assert "scanmotion.compiled" in imported(path), path.name
+    code = (
+        "import warnings; warnings.simplefilter('error')\n"
+        "import numpy as np, numba\n"
+        "from scanmotion.compiled import njit, prange\n"
+        "@njit(parallel=True)\n"
+        "def doubled(x):\n"
+        "    for i in prange(len(x)):\n"
+        "        x[i] *= 2\n"
+        "x = np.ones(1000)\n"
+        "doubled(x)\n"
+        "print(x.sum(), numba.threading_layer())\n"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    total, layer = out.stdout.split()
+    assert float(total) == 2000.0 and layer in ("omp", "tbb")
+    assert out.stderr == ""

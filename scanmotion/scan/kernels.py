@@ -1,7 +1,8 @@
 """Compiled inner loops of the scan twin: which rays to cast, which hits are measured, where they are put."""
 
 import numpy as np
-from numba import njit
+
+from scanmotion.compiled import njit
 
 
 @njit(cache=True)

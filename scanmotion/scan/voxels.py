@@ -1,7 +1,8 @@
 """Compiled loops of the fusion: points into voxels, and the local surface fitted through each voxel."""
 
 import numpy as np
-from numba import njit
+
+from scanmotion.compiled import njit
 
 _NONE = -1
 

@@ -9,9 +9,9 @@ gaps are measured by atan2 with wrap-around (arccos folds gaps over pi).
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
 from scipy.spatial import cKDTree
 
+from scanmotion.compiled import njit, prange
 from scanmotion.errors import HoleError
 from scanmotion.viewpoints.orient import signs_by_spanning_tree
 

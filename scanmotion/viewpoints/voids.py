@@ -10,10 +10,11 @@ points that share large empty discs and miss enough samples.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+
+from scanmotion.compiled import njit, prange
 
 CAP = 3.0
 """Greatest radius of an empty disc that is told apart, in pitches."""

@@ -1,0 +1,14 @@
+"""numba for all compiled loops, with its threads taken from OpenMP: the one home of that choice.
+
+numba's own order asks TBB first and warns the user of every TBB it finds too old. OpenMP comes with numba's
+wheels and bears calls from several threads at once, which numba's work queue, the last resort, does not.
+"""
+
+import os
+
+from numba import config, njit, prange
+
+__all__ = ["njit", "prange"]
+
+if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
+    config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]  # type: ignore[attr-defined]
