@@ -152,10 +152,14 @@ def _covariance(
 ) -> np.ndarray:
     """Covariance of the unknowns where the points of one frame err together: each frame counts once.
 
-    Liang and Zeger 1986 (doi 10.1093/biomet/73.1.13).
+    Liang and Zeger 1986 (doi 10.1093/biomet/73.1.13). As many frames as unknowns are fitted whatever their
+    errors, which then cannot be told: nothing but the prior is known.
     """
     by_frame = np.stack([np.bincount(frame, weights=J[:, i] * pull) for i in range(J.shape[1])], axis=1)
-    return bread @ (by_frame.T @ by_frame + prior) @ bread
+    frames, unknowns = len(np.unique(frame)), J.shape[1]
+    if frames <= unknowns:
+        return np.linalg.inv(prior)
+    return bread @ (by_frame.T @ by_frame * frames / (frames - unknowns) + prior) @ bread
 
 
 def _without_spot_means(

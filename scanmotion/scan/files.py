@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -118,7 +119,7 @@ def load_scan(path: str | Path) -> Scan:
             return Scan(captures=captures, rays=int(data["rays"]), **{k: data[k] for k in names})
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or 'no NPZ'})") from None
-    except (KeyError, ValueError, TypeError) as error:
+    except (KeyError, ValueError, TypeError, EOFError, BadZipFile) as error:
         raise InputError(f"{path}: is not a scan ({str(error)[:80]})") from None
 
 
