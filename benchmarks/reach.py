@@ -1,0 +1,163 @@
+"""Reach of a ring of 204 viewpoints against plain Drake InverseKinematics, in one run, and growth with memory.
+
+    python benchmarks/reach.py [--peer 60] [--starts 10] [--growth 100 1000 10000]
+
+The ring: a box of 600 x 330 x 200 mm on the table of the cell `kr240`, the scanner square to the flange axis
+(tool.tilt_deg 90), 700 mm from the table's axis: 17 azimuths x 4 heights (-0.2, 0.2, 0.6, 1.0 m over the table)
+x 3 tilts (-30, 0, 30 deg up), roll free, table free, 10 mm of clearance everywhere. At -0.2 m the scanner stands
+under the table's rim, where only the tilt upward leaves room for the arm: 34 of the 204 are infeasible.
+
+The peer is what Drake's users write: arm and table as seven unknowns, the scanner's position and axis given in
+the frame of the object, the roll free, a minimum distance for all pairs, SNOPT from random starts inside the
+limits until one succeeds, `--starts` at most. Both have the same solids, clearance, and pairs that are not
+judged. `--peer N` takes N viewpoints of the ring, spread evenly (204 for all, about 70 s); both are counted on
+those. What the peer finds is checked by our exact tier before it counts, and a viewpoint that either finds, or a
+four times finer search of ours, is feasible. Exit status 1 where ours misses one, or is not 100 times faster.
+"""
+
+import argparse
+import resource
+import sys
+import time
+
+import numpy as np
+from pydrake.multibody.inverse_kinematics import InverseKinematics
+from pydrake.solvers import SnoptSolver
+
+from scanmotion.cell.clearance import Clearance
+from scanmotion.cell.config import load_cell
+from scanmotion.cell.plant import Cell, build_cell
+from scanmotion.cell.slackplant import SlackPlant
+from scanmotion.motion.reach import ReachOptions, reach
+from scanmotion.part import box_part
+from scanmotion.viewpoints.viewpoint import Viewpoint, look_at
+
+CLEARANCE_M = 0.01
+HEIGHTS_M = (-0.2, 0.2, 0.6, 1.0)
+TILTS = np.deg2rad([-30.0, 0.0, 30.0])
+RADIUS_M = 0.7
+FINE = ReachOptions(azimuth_step=np.deg2rad(5.0), rolls=16)
+
+
+def ring_cell() -> Cell:
+    settings = load_cell("kr240")
+    process = {"clearance_m": CLEARANCE_M, "self_clearance_m": CLEARANCE_M}
+    changed = {
+        "process": settings.process.model_copy(update=process),
+        "tool": settings.tool.model_copy(update={"tilt_deg": 90.0}),
+    }
+    return build_cell(settings.model_copy(update=changed), box_part(0.6, 0.33, 0.2))
+
+
+def ring(azimuths: int, heights: tuple[float, ...] = HEIGHTS_M) -> list[Viewpoint]:
+    """Viewpoints that look at the table's axis, or 30 deg over or under it."""
+    views = []
+    for height in heights:
+        for tilt in TILTS:
+            for azimuth in 2 * np.pi * np.arange(azimuths) / azimuths:
+                out = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+                X = look_at(RADIUS_M * out + [0, 0, height], -np.cos(tilt) * out + [0, 0, np.sin(tilt)])
+                name = f"{height:g} m, {np.rad2deg(tilt):+.0f} deg, {np.rad2deg(azimuth):.0f} deg"
+                views.append(Viewpoint(id=name, X_OS=X, standoff=RADIUS_M, step="local", kind="station"))
+    return views
+
+
+def peer(cell: Cell, views: list[Viewpoint], starts: int) -> tuple[list[np.ndarray | None], float, int]:
+    """Plain InverseKinematics; configurations in the order of `views`, seconds, and how many solves."""
+    plant = SlackPlant(cell, part="hull")
+    rng, solver = np.random.default_rng(0), SnoptSolver()
+    low, high = np.maximum(cell.q_min, -np.pi * 2), np.minimum(cell.q_max, np.pi * 2)
+    found, solves, began = [], 0, time.perf_counter()
+    for view in views:
+        ik = InverseKinematics(plant.plant, plant.context, True)
+        p = view.p_OS
+        ik.AddPositionConstraint(plant.frame_S, np.zeros(3), plant.frame_O, p - 1e-4, p + 1e-4)
+        ik.AddAngleBetweenVectorsConstraint(
+            plant.frame_O, view.direction, plant.frame_S, np.array([0.0, 0.0, 1.0]), 0.0, 1e-3
+        )
+        ik.AddMinimumDistanceLowerBoundConstraint(CLEARANCE_M, 0.05)
+        answer = None
+        for _ in range(starts):
+            start = plant.positions(rng.uniform(low, high))
+            result = solver.Solve(ik.prog(), start)
+            solves += 1
+            if result.is_success():
+                answer = plant.configuration(result.GetSolution(ik.q()))
+                break
+        found.append(answer)
+    return found, time.perf_counter() - began, solves
+
+
+def peak_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def compare(cell: Cell, clearance: Clearance, count: int, starts: int) -> bool:
+    """Both on the same viewpoints; whether the targets are met."""
+    views = ring(17)
+    took = time.perf_counter()
+    whole = reach(cell, views, clearance=clearance)
+    took = time.perf_counter() - took
+    ours = np.array([r.unreachable is None for r in whole])
+    picked = np.unique(np.linspace(0, len(views) - 1, count).astype(int))
+    chosen = [views[i] for i in picked]
+    answers, seconds, solves = peer(cell, chosen, starts)
+    theirs = np.zeros(len(views), bool)
+    checker = Clearance(cell, clearance=CLEARANCE_M - 2e-4)
+    for i, q in zip(picked, answers, strict=True):
+        theirs[i] = q is not None and bool(checker.free(q[None])[0])
+    left = np.flatnonzero(~ours)
+    fine = reach(cell, [views[i] for i in left], clearance=clearance, options=FINE)
+    feasible = ours | theirs
+    feasible[left] |= [r.unreachable is None for r in fine]
+    kept = sum(len(r.q) for r in whole)
+    ratio = (len(views) / took) / (len(chosen) / seconds)
+    print(f"ring of {len(views)} viewpoints, {int(feasible.sum())} feasible as far as anything found")
+    print(
+        f"ours: {int(ours.sum())} of {int(feasible.sum())} found, {len(views) / took:.0f} viewpoints/s "
+        f"({1e3 * took / len(views):.2f} ms each, {kept} configurations kept)"
+    )
+    print(
+        f"peer, {len(chosen)} of them, <= {starts} random starts: {int(theirs.sum())} of "
+        f"{int(feasible[picked].sum())} found, {len(chosen) / seconds:.2f} viewpoints/s, {solves} solves of "
+        f"{1e3 * seconds / solves:.0f} ms"
+    )
+    missed = int((feasible & ~ours).sum())
+    print(f"ours is {ratio:.0f} times faster and misses {missed}")
+    return missed == 0 and ratio >= 100
+
+
+def growth(cell: Cell, clearance: Clearance, sizes: list[int]) -> None:
+    """Seconds and peak memory over the number of viewpoints, each size from a ring of more heights."""
+    for size in sizes:
+        heights = tuple(np.linspace(0.0, 1.2, max(round(size / 3 / 20), 1)))
+        views = ring(-(-size // (3 * len(heights))), heights)[:size]
+        began = time.perf_counter()
+        found = reach(cell, views, clearance=clearance)
+        took = time.perf_counter() - began
+        held = sum(r.q.nbytes + r.X_OS.nbytes + r.clearance.nbytes for r in found) / 2**20
+        print(
+            f"{len(views)} viewpoints: {took:.2f} s, {len(views) / took:.0f}/s, "
+            f"{sum(r.unreachable is None for r in found)} reached, answers {held:.0f} MB, "
+            f"peak memory {peak_mb():.0f} MB"
+        )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--peer", type=int, default=60, help="viewpoints of the ring given to the peer")
+    parser.add_argument("--starts", type=int, default=10, help="random starts of the peer for each viewpoint")
+    parser.add_argument(
+        "--growth", type=int, nargs="*", default=[100, 1000, 10000], help="numbers of viewpoints"
+    )
+    args = parser.parse_args()
+    cell = ring_cell()
+    clearance = Clearance(cell)
+    reach(cell, ring(1), clearance=clearance)
+    met = compare(cell, clearance, args.peer, args.starts)
+    growth(cell, clearance, args.growth)
+    return int(not met)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
