@@ -16,6 +16,9 @@ from scanmotion.motion.transit import transits
 from scanmotion.trajectory import Trajectory
 from scanmotion.viewpoints.viewpoint import Viewpoint
 
+LONGEST_WAY_S = 15.0
+"""A transit to a local viewpoint that takes longer is not driven [s]."""
+
 Progress = Callable[[str, float], None]
 
 
@@ -75,6 +78,7 @@ def leg_from(
     if table == "fallback":
         reaches = [_table_still(r, start_q[6]) for r in reaches]
     reasons = {r.viewpoint.id: str(r.unreachable) for r in reaches if r.unreachable is not None}
+    trajectory = None
     while True:
         todo = [r for r in reaches if r.viewpoint.id not in reasons]
         progress("order", 0.0)
@@ -86,15 +90,31 @@ def leg_from(
             blocked = tour.stops[error.stop]
             reasons.update({v: f"no collision-free way there: {error}" for v in blocked.viewpoints})
             continue
-        break
-    trajectory = None
-    if tour.stops:
+        if not tour.stops:
+            break
         trajectory = time_plan(cell, tour, paths, progress=lambda f: progress("timing", f))
+        detours = _detours(trajectory, {r.viewpoint.id for r in todo if r.viewpoint.step == "local"})
+        if not detours:
+            break
+        reasons.update(detours)
     order = [r.viewpoint.id for r in reaches]
     unreachable = tuple((v, reasons[v]) for v in order if v in reasons)
     return Leg(
         reaches=tuple(reaches), tour=tour, paths=paths, trajectory=trajectory, unreachable=unreachable
     )  # fmt: skip
+
+
+def _detours(trajectory: Trajectory, local: set[str]) -> dict[str, str]:
+    """Local viewpoints at the end of the longest way round, where it costs more than they are worth."""
+    ways = [
+        (o.t_end - o.t_start, o.viewpoints)
+        for o in trajectory.operations
+        if o.kind == "transit" and o.viewpoints and set(o.viewpoints) <= local
+    ]
+    seconds, viewpoints = max(ways, default=(0.0, ()), key=lambda w: w[0])
+    if seconds <= LONGEST_WAY_S:
+        return {}
+    return {v: f"not worth its seconds: the way there takes {seconds:.1f} s" for v in viewpoints}
 
 
 def renamed(viewpoints: Sequence[Viewpoint], prefix: str) -> tuple[Viewpoint, ...]:

@@ -122,6 +122,7 @@ class _Trip:
         self.holes: HoleReport | None = None
         self.dropped: list[tuple[str, str]] = []
         self.unscanned: tuple = ()
+        self.shunned: list[np.ndarray] = []
         self.scene: Scene | None = None
         self.samples: SurfaceSamples | None = None
         self.seen = np.zeros(0, bool)
@@ -212,6 +213,8 @@ class _Trip:
         step = local_step(
             self.cloud.points, self.cloud.normals, holes.holes, self.scanner,
             spacing=self.options.voxel,
+            frames=np.concatenate([s.captures.X_OS for s in self.scans]) if self.scans else None,
+            seconds=self._seconds_left(),
             table_radius=self.settings.turntable.diameter_m / 2,
             table_z=self.table_z,
             reachable=self._reachable if self.options.reach_feedback else None,
@@ -220,8 +223,18 @@ class _Trip:
         self.unscanned = step.unseen
         return step.viewpoints
 
+    def _seconds_left(self) -> float:
+        """Of the budget, for the next round [s]."""
+        spent = 0.0 if self.trajectory is None else float(self.trajectory.t[-1])
+        return max(self.settings.process.budget_s - spent, 0.0)
+
     def _reachable(self, X_OS: np.ndarray) -> np.ndarray:
-        return reachable_mask(self.cell, X_OS, clearance=self.clearance)
+        """What the robot reaches, without the neighbourhood of viewpoints that proved not worth their way."""
+        mask = reachable_mask(self.cell, X_OS, clearance=self.clearance)
+        for X in self.shunned:
+            near = np.linalg.norm(X_OS[:, :3, 3] - X[:3, 3], axis=1) < 0.06
+            mask &= ~(near & (X_OS[:, :3, 2] @ X[:3, 2] > np.cos(np.deg2rad(12.0))))
+        return mask
 
     def _run(self, views: tuple[Viewpoint, ...], step: str, rng: np.random.Generator) -> None:
         """Plans a leg over `views`, appends it, and lets the twin scan along it."""
@@ -237,6 +250,8 @@ class _Trip:
                 with self.watch("twin"):
                     self._scan(leg.trajectory, rng)
         self.rounds.append(Round(step=step, leg=leg, seen=self.seen.copy()))
+        given_up = {v for v, _ in leg.unreachable}
+        self.shunned += [v.X_OS for v in views if v.id in given_up]
 
     def _scan(self, trajectory: Trajectory, rng: np.random.Generator) -> None:
         captures = captures_from_trajectory(

@@ -42,6 +42,11 @@ class ClosedModel:
         a, b, c = (self.vertices[self.triangles[:, i]] for i in range(3))
         return np.cross(b - a, c - a)
 
+    @property
+    def area(self) -> float:
+        """Of the whole surface [m2]."""
+        return float(np.linalg.norm(self.crosses, axis=1).sum() / 2)
+
 
 def closed_model(
     points: np.ndarray, normals: np.ndarray, *, spacing: float, table_z: float | None = 0.0

@@ -13,7 +13,6 @@ from scanmotion.scanner import Scanner
 from scanmotion.viewpoints.coverage import (
     Scene,
     free_lines,
-    greedy_cover,
     hemisphere,
     revolution_poses,
     scene_from,
@@ -23,12 +22,14 @@ from scanmotion.viewpoints.coverage import (
 )
 from scanmotion.viewpoints.holes import Hole
 from scanmotion.viewpoints.model import ClosedModel, closed_model
-from scanmotion.viewpoints.stepped_rotary import UPRIGHT
+from scanmotion.viewpoints.stepped_rotary import UPRIGHT, oblique_turn
 from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
 
 Reachable = Callable[[np.ndarray], np.ndarray]
-STATION_S, REVOLUTION_S = 3.3, 10.8
-"""What a station and a revolution cost with the way there, for weighing them against each other [s]."""
+STATION_S, REVOLUTION_S = 1.8, 9.2
+"""What a station and a revolution cost beside the way there, for weighing them against each other [s]."""
+SECONDS_PER_METRE = 12.0
+"""The scanner's way at 0.1 m/s with its ramps [s/m]."""
 _CONE = np.deg2rad(65.0)
 
 
@@ -52,12 +53,10 @@ class SelectOptions:
     """A model's triangle farther than this from the data is unseen in any case [m]."""
     probes: int = 30_000
     """Points spread over the model to find what no frame has seen."""
-    goal: float = 0.998
-    """Share of what the candidates can see of the targets at which the choice ends."""
-    most: int = 16
+    most: int = 24
     """Most viewpoints chosen in one round."""
-    least_area: float = 1.0e-5
-    """A viewpoint that adds less than this is not worth its seconds [m2]."""
+    least_rate: float = 5.0e-5
+    """A viewpoint that adds less than this share of the surface per second is not worth its seconds [1/s]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -96,6 +95,7 @@ def local_step(
     table_z: float = 0.0,
     frames: np.ndarray | None = None,
     reachable: Reachable | None = None,
+    seconds: float = np.inf,
     prefix: str = "L",
     options: SelectOptions | None = None,
     rng: np.random.Generator,
@@ -113,6 +113,7 @@ def local_step(
         frames: poses X_OS of the frames taken so far, shape (k, 4, 4): what none of them sees of the model is
             a target too, narrow strips under ledges above all; None where they are not known.
         reachable: tells which poses (n, 4, 4) the robot reaches; None for all.
+        seconds: what the chosen may take together, roughly [s].
         prefix: of the viewpoints' ids.
         options: how finely to look.
         rng: draws the targets.
@@ -128,11 +129,9 @@ def local_step(
     )
     matrix = _scores(scene, scanner, poses, kinds, targets, target_normals)
     reached = np.ones(len(poses), bool) if reachable is None else np.asarray(reachable(poses), dtype=bool)
-    cost = np.where(kinds, REVOLUTION_S, STATION_S)
-    weights = np.full(len(targets), area)
     usable = matrix & reached[:, None]
-    chosen = greedy_cover(usable, weights, cost=cost, target=options.goal, max_views=options.most)
-    chosen, gains = _worthwhile(usable, area, chosen, options.least_area)
+    least = options.least_rate * model.area
+    chosen, gains = _chosen(usable, area, poses, kinds, least, seconds, options.most)
     views = tuple(
         _view(poses[c], kinds[c], f"{prefix}{n}", g)
         for n, (c, g) in enumerate(zip(chosen, gains, strict=True), 1)
@@ -264,22 +263,22 @@ def _low(
 
 
 def _revolutions(model: ClosedModel, scanner: Scanner, table_radius: float, table_z: float) -> np.ndarray:
-    """A few whole turns at other inclinations and heights than the global step's, shape (n, 4, 4)."""
+    """Whole turns at many inclinations, offsets, distances, heights and both rolls, shape (n, 4, 4)."""
     radius = float(np.linalg.norm(model.vertices[:, :2], axis=1).max())
-    height = float(model.vertices[:, 2].max())
+    top = float(model.vertices[:, 2].max())
     near, far = scanner.range
     poses = []
-    for tilt in np.deg2rad([-22.0, -10.0, 8.0, 20.0, 42.0, 65.0, 80.0]):
-        u = np.array([np.cos(tilt), 0.0, np.sin(tilt)])
-        for distance in (near + radius * np.cos(tilt) + 0.03, 0.93 * far):
-            for aim in (0.25, 0.75):
-                for side in (0.0, 0.5 * radius):
-                    target = np.array([side, 0.0, aim * height])
-                    p = target + distance * u
-                    if p[0] > table_radius + 0.1:
-                        p[2] = max(p[2], table_z + 0.02)
-                    if _standing(p, table_radius, table_z):
-                        poses.append(look_at(p, target - p, roll=UPRIGHT))
+    for tilt in np.deg2rad([-20.0, -8.0, 5.0, 18.0, 32.0, 46.0, 60.0, 75.0]):
+        close = near + radius * np.cos(tilt) + 0.03
+        for distance in (close, max(0.95 * far, close)):
+            for aim in (0.2, 0.5, 0.8):
+                for yaw in np.deg2rad([-30.0, -15.0, 0.0, 15.0, 30.0]):
+                    for roll in (0.0, UPRIGHT):
+                        X = oblique_turn(
+                            tilt, yaw, aim * top, distance, radius=radius, floor=table_z + 0.02, roll=roll
+                        )
+                        if _standing(X[:3, 3], table_radius, table_z):
+                            poses.append(X)
     return np.array(poses).reshape(-1, 4, 4)
 
 
@@ -299,17 +298,37 @@ def _scores(
     return matrix
 
 
-def _worthwhile(
-    usable: np.ndarray, area: float, chosen: list[int], least: float
+def _chosen(
+    usable: np.ndarray,
+    area: float,
+    poses: np.ndarray,
+    kinds: np.ndarray,
+    least: float,
+    seconds: float,
+    most: int,
 ) -> tuple[list[int], list[float]]:
-    """The chosen rows by what each adds to those before, without those that add too little."""
-    covered, rows, gains = np.zeros(usable.shape[1], bool), [], []
-    for row in sorted(chosen, key=lambda r: -int(usable[r].sum())):
-        gain = float((usable[row] & ~covered).sum() * area)
-        if gain >= least:
-            covered |= usable[row]
-            rows.append(row)
-            gains.append(gain)
+    """Rows by greatest gain per second, and what each adds to those before it [m2].
+
+    A second choice counts the way from the nearest viewpoint already chosen; the table turns any azimuth
+    before the arm, so that only radius and height of the scanner count.
+    """
+    place = np.column_stack([np.linalg.norm(poses[:, :2, 3], axis=1), poses[:, 2, 3]])
+    base = np.where(kinds, REVOLUTION_S, STATION_S)
+    gaining = np.flatnonzero(usable.any(axis=1))
+    table = usable[gaining].astype(np.float32)
+    way = np.full(len(gaining), 0.3)
+    open_, rows, gains, spent = np.ones(usable.shape[1], np.float32), [], [], 0.0
+    while len(gaining) and len(rows) < most:
+        gain = (table @ open_) * area
+        cost = base[gaining] + SECONDS_PER_METRE * way
+        best = int(np.argmax(gain / cost))
+        if gain[best] < least * cost[best] or spent + cost[best] > seconds:
+            break
+        rows.append(int(gaining[best]))
+        gains.append(float(gain[best]))
+        spent += float(cost[best])
+        open_[usable[rows[-1]]] = 0.0
+        way = np.minimum(way, np.linalg.norm(place[gaining] - place[rows[-1]], axis=1))
     return rows, gains
 
 
