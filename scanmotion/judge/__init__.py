@@ -7,12 +7,15 @@ collisions are FCL's on the part's true triangles, limits and speeds finite diff
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
+from scanmotion.judge.contact import check_clearance
 from scanmotion.judge.finding import Finding
-from scanmotion.judge.limits import check_limits, check_record, check_speed
+from scanmotion.judge.limits import check_limits, check_record, check_settings, check_speed
 from scanmotion.judge.motion import motion_from
-from scanmotion.judge.solids import check_clearance
 from scanmotion.judge.views import check_operations, check_viewpoints
 from scanmotion.planfile import read_json, read_plan, read_trajectory
+from scanmotion.trajectory import Trajectory
 
 __all__ = ["Finding", "verify"]
 
@@ -35,12 +38,15 @@ def verify(folder: str | Path, *, progress: Callable[[float], None] | None = Non
     trajectory = read_trajectory(folder, record)
     motion = motion_from(folder, record, trajectory)
     findings = check_record(record, motion)
+    findings += check_settings(record, read_json(folder, record.cell_file))
     findings += check_limits(record, trajectory)
     findings += check_speed(record, trajectory, motion)
     findings += check_operations(record, trajectory)
     findings += check_viewpoints(record, trajectory, motion)
     if (folder / "summary.json").exists():
         findings += _check_summary(read_json(folder, "summary.json"), trajectory.duration)
+    if (folder / "trajectory.json").exists():
+        findings += _check_twin(read_json(folder, "trajectory.json"), trajectory)
     if trajectory.duration > record.process.budget_s:
         findings.append(
             Finding(
@@ -50,7 +56,7 @@ def verify(folder: str | Path, *, progress: Callable[[float], None] | None = Non
                 limit=record.process.budget_s,
             )
         )
-    findings += check_clearance(folder, record, motion, progress=progress)
+    findings += check_clearance(folder, record, trajectory, motion.arm, progress=progress)
     return findings
 
 
@@ -60,3 +66,17 @@ def _check_summary(summary: object, duration: float) -> list[Finding]:
         return []
     text = f"summary.json says {total} s in total, the trajectory lasts {duration:.2f} s"
     return [Finding(code="summary", message=text, value=duration, limit=duration)]
+
+
+def _check_twin(data: object, trajectory: Trajectory) -> list[Finding]:
+    """trajectory.json carries the same samples; a controller may be fed from either."""
+    try:
+        t = np.array(data["time"], dtype=float)  # type: ignore[index]
+        q = np.array(data["position"], dtype=float)  # type: ignore[index]
+        same = t.shape == trajectory.t.shape and q.shape == trajectory.q.shape
+        # The CSV carries 0.1 ms and 1e-8 deg.
+        if same and np.abs(t - trajectory.t).max() < 1e-4 and np.abs(q - trajectory.q).max() < 1e-8:
+            return []
+    except (KeyError, TypeError, ValueError):
+        pass
+    return [Finding(code="order", message="trajectory.json and trajectory.csv do not have the same samples")]

@@ -61,17 +61,17 @@ def check_limits(record: PlanRecord, trajectory: Trajectory) -> list[Finding]:
         ("acceleration", limits.acceleration_rad_s2, "deg/s2", 1.01),
         ("jerk", limits.jerk_rad_s3, "deg/s3", 1.05),
     )
-    noise = 2 * _ROUNDING
+    noise = np.full((len(t), 1), _ROUNDING)
     for code, bound, unit, tolerance in bounds:
         width = np.diff(at)
         value = np.diff(value, axis=0) / width[:, None]
         at = (at[1:] + at[:-1]) / 2
-        noise = noise / float(width.min())
+        # Kept by row: a single short step must not excuse the others.
+        noise = (noise[1:] + noise[:-1]) / width[:, None]
         if len(value) == 0:
             break
         ratio = (np.abs(value) - noise) / np.array(bound)
         findings += _over(code, ratio, value, bound, at, record, unit, tolerance)
-        noise *= 2
     return findings
 
 
@@ -114,4 +114,35 @@ def check_speed(record: PlanRecord, trajectory: Trajectory, motion: Motion) -> l
                     t=float(trajectory.t[k]),
                 )
             )  # fmt: skip
+    return findings
+
+
+def check_settings(record: PlanRecord, cell: object) -> list[Finding]:
+    """Whether plan.json promises what the cell's settings beside it ask for.
+
+    Args:
+        record: plan.json.
+        cell: the settings as read from the folder, not trusted to have any shape.
+    """
+    settings = cell if isinstance(cell, dict) else {}
+    process, table = settings.get("process"), settings.get("turntable")
+    wanted: list[tuple[str, object, float]] = []
+    if isinstance(process, dict):
+        stated = record.process.model_dump()
+        wanted += [(f"process.{k}", process.get(k), v) for k, v in stated.items()]
+    if isinstance(table, dict):
+        rpm = table.get("speed_rpm")
+        speed = rpm * 2 * np.pi / 60 if isinstance(rpm, int | float) else None
+        wanted += [
+            ("turntable.speed_rpm", speed, record.limits.velocity_rad_s[6]),
+            ("turntable.acceleration_rad_s2", table.get("acceleration_rad_s2"),
+             record.limits.acceleration_rad_s2[6]),
+        ]  # fmt: skip
+    if len(wanted) < 8:
+        return [Finding(code="limits", message=f"{record.cell_file}: not a cell's settings")]
+    findings = []
+    for key, asked, said in wanted:
+        if not isinstance(asked, int | float) or abs(asked - said) > 1e-9 * max(1.0, abs(said)):
+            text = f"{key}: plan.json has {said:g} where {record.cell_file} asks for {asked}"
+            findings.append(Finding(code="limits", message=text, where=key, value=said))
     return findings

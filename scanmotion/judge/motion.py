@@ -52,9 +52,10 @@ def arm_from_urdf(text: str, joints: tuple[str, ...], flange: str) -> UrdfArm:
         PlanFileError: not a URDF with these six joints in one chain.
     """
     try:
-        root = fromstring(text)
+        root: Any = fromstring(text)
         by_child = {j.find("child").get("link"): j for j in root.iter("joint")}
-        chain, link = [], flange
+        chain: list[Any] = []
+        link: str = flange
         while link in by_child and len(chain) < 100:
             chain.append(by_child[link])
             link = by_child[link].find("parent").get("link")
@@ -75,6 +76,8 @@ def _arm(root: Any, chain: list[Any], base: str) -> UrdfArm:
         X = X @ _origin(joint)
         if joint.get("type") != "fixed":
             w = X[:3, :3] @ _numbers(joint.find("axis").get("xyz"), 3)
+            if np.linalg.norm(w) < 1e-9:
+                raise ValueError("a joint without an axis")
             w = w / np.linalg.norm(w)
             screws.append(np.concatenate([w, -np.cross(w, X[:3, 3])]))
             limit = joint.find("limit")
@@ -98,6 +101,8 @@ def _arm(root: Any, chain: list[Any], base: str) -> UrdfArm:
                 raise ValueError(f"collision geometry {shape.tag!r}")
             solids.append((name, index, shape.tag, size, X_BL @ _origin(collision)))
     low, high, speed = np.array(limits).T
+    if not np.isfinite(limits).all() or (low > high).any() or (speed <= 0).any():
+        raise ValueError("limits of the joints")
     return UrdfArm(
         screws=np.array(screws), X_BF=X, lower=low, upper=high, velocity=speed, solids=tuple(solids)
     )
@@ -138,17 +143,21 @@ def motion_from(folder: Path, record: PlanRecord, trajectory: Trajectory) -> Mot
     arm = arm_from_urdf(
         read_text(folder, record.urdf_file, limit=8 << 20), record.robot_joints, record.flange_link
     )
-    X_WB = np.array(record.X_WB)
-    X = np.tile(X_WB, (len(trajectory.t), 1, 1))
+    return motion_at(arm, record, trajectory.t, trajectory.q)
+
+
+def motion_at(arm: UrdfArm, record: PlanRecord, t: np.ndarray, q: np.ndarray) -> Motion:
+    """Poses of everything at the configurations q, shape (N, 7) [rad], passed at the times t [s]."""
+    X = np.tile(np.array(record.X_WB), (len(t), 1, 1))
     links = [X]
     for i in range(6):
-        X = X @ exponentials(arm.screws[i], trajectory.q[:, i])
+        X = X @ exponentials(arm.screws[i], q[:, i])
         links.append(X)
     X_WF = X @ arm.X_BF
     X_WS = X_WF @ np.array(record.X_FS)
-    turn = exponentials(np.array([0, 0, 1.0, 0, 0, 0]), trajectory.q[:, 6])
+    turn = exponentials(np.array([0, 0, 1.0, 0, 0, 0]), q[:, 6])
     X_WO = np.array(record.X_WT) @ turn @ np.array(record.X_TO)
     return Motion(
-        arm=arm, t=trajectory.t, X_WL=np.stack(links, axis=1), X_WF=X_WF, X_WS=X_WS, X_WO=X_WO,
+        arm=arm, t=t, X_WL=np.stack(links, axis=1), X_WF=X_WF, X_WS=X_WS, X_WO=X_WO,
         X_OS=np.linalg.inv(X_WO) @ X_WS,
     )  # fmt: skip

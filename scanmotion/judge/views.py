@@ -36,6 +36,12 @@ def check_operations(record: PlanRecord, trajectory: Trajectory) -> list[Finding
                 text = f"{name} is not at rest at {when:.2f} s"
                 findings.append(Finding(code="rest", message=text, where=name, t=float(when)))
         findings += _kind(o, q, name, record)
+    ends = np.array([o.t_end for o in record.operations])
+    wrong = np.flatnonzero(np.searchsorted(ends, trajectory.t - 1e-6) != trajectory.operation)
+    if len(wrong):
+        k = int(wrong[0])
+        text = f"the sample at {trajectory.t[k]:.2f} s is not in operation {trajectory.operation[k]}'s time"
+        findings.append(Finding(code="order", message=text, t=float(trajectory.t[k])))
     if abs(at - trajectory.duration) > 1e-3:
         text = f"the operations end at {at:.3f} s, the trajectory at {trajectory.duration:.3f} s"
         findings.append(Finding(code="order", message=text, value=trajectory.duration, limit=at))
@@ -65,6 +71,8 @@ def check_viewpoints(record: PlanRecord, trajectory: Trajectory, motion: Motion)
     """Every viewpoint is served where it asked for, in the order claimed, or stands among the unreachable."""
     findings = []
     views = {v.id: v for v in record.viewpoints}
+    if len(views) < len(record.viewpoints):
+        findings.append(Finding(code="viewpoint", message="two viewpoints have the same id"))
     served: set[str] = set()
     for o in record.operations:
         if o.kind == "transit":
@@ -77,6 +85,11 @@ def check_viewpoints(record: PlanRecord, trajectory: Trajectory, motion: Motion)
                 findings.append(Finding(code="viewpoint", message=text, where=name, t=o.t_start))
                 continue
             served.add(name)
+            if views[name].kind == "revolution" and o.kind != "revolution":
+                text = f"{name} asks for a revolution, operation {o.index} is a {o.kind}"
+                findings.append(Finding(code="viewpoint", message=text, where=name, t=o.t_start))
+            if len(where) == 0:
+                continue
             off, angle, k = _nearest(views[name], motion.X_OS[where])
             if off > 0 or angle > 0:
                 text = (
@@ -104,17 +117,38 @@ def _nearest(view: ViewpointRecord, X_OS: np.ndarray) -> tuple[float, float, int
     """By how much position and angle stay outside what the viewpoint allows, and at which sample least."""
     X = np.array(view.X_OS)
     if view.kind == "revolution":
-        # Any azimuth will do: each sample is turned about the table's axis to the viewpoint's own.
-        turn = np.arctan2(X[1, 3], X[0, 3]) - np.arctan2(X_OS[:, 1, 3], X_OS[:, 0, 3])
-        X_OS = exponentials(np.array([0, 0, 1.0, 0, 0, 0]), turn) @ X_OS
-    reach = max(abs(s) for s in view.slack_standoff_m)
-    gap = np.linalg.norm(X_OS[:, :3, 3] - X[:3, 3], axis=1)
-    swing = view.standoff_m * view.slack_tilt_rad
-    off = gap - reach - swing - _POSITION_M
-    axis = np.arccos(np.clip(X_OS[:, :3, 2] @ X[:3, 2], -1, 1)) - view.slack_tilt_rad - _ANGLE
-    angle = axis
+        X_OS = _turned(X_OS, X, view.standoff_m)
+    p_S, z_S, z = X_OS[:, :3, 3], X_OS[:, :3, 2], X[:3, 2]
+    tilt = np.arccos(np.clip(z_S @ z, -1, 1))
+    # The allowed axis that is nearest to the scanner's own: it turns about the aimed point.
+    kept = np.minimum(tilt, view.slack_tilt_rad)
+    axis = np.sin(tilt - kept)[:, None] * z + np.sin(kept)[:, None] * z_S
+    axis = np.where(tilt[:, None] > 1e-6, axis / np.maximum(np.sin(tilt), 1e-9)[:, None], z_S)
+    low, high = view.slack_standoff_m
+    aim = X[:3, 3] + view.standoff_m * z
+    far = np.clip(np.sum((aim - p_S) * axis, axis=1), view.standoff_m + low, view.standoff_m + high)
+    off = np.linalg.norm(p_S - (aim - far[:, None] * axis), axis=1) - _POSITION_M
+    angle = tilt - view.slack_tilt_rad - _ANGLE
     if not view.slack_roll:
         trace = np.einsum("nij,ij->n", X_OS[:, :3, :3], X[:3, :3])
-        angle = np.maximum(axis, np.arccos(np.clip((trace - 1) / 2, -1, 1)) - view.slack_tilt_rad - _ANGLE)
+        angle = np.maximum(angle, np.arccos(np.clip((trace - 1) / 2, -1, 1)) - view.slack_tilt_rad - _ANGLE)
     k = int(np.argmin(np.maximum(off / _POSITION_M, angle / _ANGLE)))
     return float(off[k]), float(angle[k]), k
+
+
+def _turned(X_OS: np.ndarray, X: np.ndarray, reach: float) -> np.ndarray:
+    """Each pose turned about the table's axis as near to X as it comes, since any azimuth will do.
+
+    What is brought together is the scanner's origin and the tips of its axes, `reach` long, so that a
+    scanner on the axis itself has an azimuth too.
+    """
+    tips = reach * np.eye(3)
+    ours = np.concatenate([X_OS[:, None, :3, 3], X_OS[:, None, :3, 3] + tips @ _T(X_OS[:, :3, :3])], axis=1)
+    wanted = np.concatenate([X[None, :3, 3], X[None, :3, 3] + tips @ X[:3, :3].T])
+    dot = np.einsum("nkx,kx->n", ours[..., :2], wanted[:, :2])
+    cross = (ours[..., 0] * wanted[:, 1] - ours[..., 1] * wanted[:, 0]).sum(axis=1)
+    return exponentials(np.array([0, 0, 1.0, 0, 0, 0]), np.arctan2(cross, dot)) @ X_OS
+
+
+def _T(R: np.ndarray) -> np.ndarray:
+    return np.swapaxes(R, -1, -2)
