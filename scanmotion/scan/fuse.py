@@ -25,6 +25,8 @@ class Cloud:
     """Mean unit vector from the point to the cameras that saw it, shape (n, 3)."""
     counts: np.ndarray
     """Raw points in the voxel, shape (n,)."""
+    cells: np.ndarray | None = None
+    """Which voxel each point stands for, its corner at edge * cells, shape (n, 3) int32; None: not known."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -106,9 +108,11 @@ def fuse_points(raw: RawPoints, *, voxel: float = 0.002, radius: float | None = 
     )
     normals, lone = _sparse_spots(points, normals, view, misfit < 0, voxel)
     keep = np.logical_not(lone)
+    cells = np.rint(low / voxel) + np.stack(np.unravel_index(unique[keep], shape), axis=1)
     return Cloud(
         points=points[keep], normals=normals[keep], view_directions=view[keep],
         counts=np.diff(start)[keep],
+        cells=cells.astype(np.int32),
     )  # fmt: skip
 
 

@@ -59,7 +59,7 @@ def transformed(cloud: Cloud, X: np.ndarray) -> Cloud:
     R = X[:3, :3]
     return replace(
         cloud, points=cloud.points @ R.T + X[:3, 3], normals=cloud.normals @ R.T,
-        view_directions=cloud.view_directions @ R.T,
+        view_directions=cloud.view_directions @ R.T, cells=None,
     )  # fmt: skip
 
 
