@@ -9,14 +9,14 @@ from scanmotion.export.source import Source
 from scanmotion.trajectory import SCANNING
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
-HEADER = (
+HEADER: tuple[str, ...] = (
     "t_s", *(f"{a}_deg" for a in AXES), *(f"{a}_deg_s" for a in AXES),
     "operation", "kind", "scanning", "viewpoints",
 )  # fmt: skip
 
 
 def csv_files(source: Source, name: str) -> dict[str, bytes | str]:
-    """One row a sample: time, positions, velocities, operation, whether the scanner captures, viewpoint ids."""
+    """One row a sample: time, positions, velocities, operation, scanning or not, viewpoint ids."""
     t = source.trajectory
     # Adding zero turns -0.0 into 0.0.
     q = np.round(np.rad2deg(t.q), 8) + 0.0

@@ -13,7 +13,7 @@ UNITS = {
 
 
 def json_files(source: Source, name: str) -> dict[str, bytes | str]:
-    """One document: joints over time, operations with their viewpoints, poses of base, tool, table and object."""
+    """One document: joints over time, operations and their viewpoints, poses of base, tool, table, object."""
     record, t = source.record, source.trajectory
     document = {
         "version": VERSION,

@@ -16,7 +16,7 @@ from scanmotion.export.source import Source, checked_id, checked_line, write_fil
 from scanmotion.planfile import ViewpointRecord
 from scanmotion.viewpoints.viewpoint import Slack, Viewpoint
 
-HEADER = (
+HEADER: tuple[str, ...] = (
     "id", "step", "kind", "sweep", "standoff_mm", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz",
     "slack_near_mm", "slack_far_mm", "slack_tilt_deg", "slack_roll", "note",
 )  # fmt: skip

@@ -1,0 +1,82 @@
+"""Few points that stand for a sampled path: for straight moves, and for a spline in time."""
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+
+def polyline_knots(path: np.ndarray, tolerance: float, *, most: int) -> tuple[np.ndarray, float]:
+    """Samples whose straight connections pass every other sample within a tolerance (Douglas-Peucker).
+
+    Args:
+        path: samples in order, shape (n, k).
+        tolerance: greatest distance in the maximum norm; doubled until `most` knots suffice.
+        most: greatest number of knots, at least 2.
+
+    Returns:
+        Indices of the knots, the first and last sample among them, and the greatest distance that remains.
+    """
+    knots, rest = _douglas_peucker(path, tolerance)
+    while len(knots) > most:
+        tolerance *= 2
+        knots, rest = _douglas_peucker(path, tolerance)
+    return knots, rest
+
+
+def _douglas_peucker(path: np.ndarray, tolerance: float) -> tuple[np.ndarray, float]:
+    kept, open_spans, rest = {0, len(path) - 1}, [(0, len(path) - 1)], 0.0
+    while open_spans:
+        first, last = open_spans.pop()
+        if last - first < 2:
+            continue
+        away = _beside(path[first + 1 : last], path[first], path[last])
+        worst = int(away.argmax())
+        if away[worst] <= tolerance:
+            rest = max(rest, float(away[worst]))
+            continue
+        middle = first + 1 + worst
+        kept.add(middle)
+        open_spans += [(first, middle), (middle, last)]
+    return np.array(sorted(kept)), rest
+
+
+def _beside(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Maximum-norm distance of points from their foot points on the segment from a to b."""
+    along = b - a
+    square = float(along @ along)
+    share = np.clip((points - a) @ along / square, 0, 1) if square > 0 else np.zeros(len(points))
+    return np.abs(points - a - share[:, None] * along).max(axis=1)
+
+
+def spline_knots(
+    t: np.ndarray, q: np.ndarray, tolerance: float, *, longest: float, shortest: float, most: int
+) -> tuple[np.ndarray, float]:
+    """Samples through which a cubic spline, at rest at both ends, follows a motion within a tolerance.
+
+    Args:
+        t: times, shape (n,) [s].
+        q: positions, shape (n, k).
+        tolerance: greatest deviation of any component at any sample, where `shortest` and `most` allow it.
+        longest: no two knots are further apart [s], as far as the samples allow it.
+        shortest: no knot is set closer to another one [s].
+        most: greatest number of knots.
+
+    Returns:
+        Indices of the knots, the first and last sample among them, and the greatest deviation that remains.
+    """
+    spans = max(int(np.ceil((t[-1] - t[0]) / longest - 1e-9)), 1)
+    knots = np.unique(np.searchsorted(t, np.linspace(t[0], t[-1], min(spans, most - 1) + 1) - 1e-9))
+    knots = knots[np.append(True, np.any(q[knots[1:]] != q[knots[:-1]], axis=1))]
+    knots = np.unique([0, *knots, len(t) - 1])
+    while True:
+        away = np.abs(CubicSpline(t[knots], q[knots], bc_type="clamped")(t) - q).max(axis=1)
+        fresh = []
+        for a, b in pairwise(knots):
+            room = np.flatnonzero((t[a:b] - t[a] >= shortest) & (t[b] - t[a:b] >= shortest)) + a
+            if away[a:b].max() > tolerance and len(room):
+                # In the middle of the room rather than at the worst sample: knots stay evenly apart.
+                fresh.append(room[len(room) // 2])
+        if not fresh or len(knots) + len(fresh) > most:
+            return knots, float(away.max())
+        knots = np.unique([*knots, *fresh])
