@@ -48,6 +48,18 @@ class Robot:
     bodies: tuple[Body, ...]
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Solved:
+    """What a solver of the inverse kinematics finds for a batch of flange poses, limits aside."""
+
+    joints: np.ndarray
+    """Shape (n, slots, 6) [rad]; a row of NaN where a branch does not exist."""
+    sigma_min: np.ndarray
+    """Least singular value of the flange's Jacobian (m and rad mixed), shape (n, slots)."""
+    extension: np.ndarray
+    """How far inside the arm's reach each wrist is, shape (n,) [m]; negative outside."""
+
+
 def _floats(text: str | None, n: int, where: str) -> np.ndarray:
     try:
         values = np.array([float(word) for word in (text or " ".join("0" * n)).split()])
@@ -207,6 +219,29 @@ def rotations(axes: np.ndarray, angles: np.ndarray) -> np.ndarray:
     K = K - K.transpose(0, 2, 1)
     s, c = np.sin(angles)[..., None, None], np.cos(angles)[..., None, None]
     return np.eye(3) + s * K + (1 - c) * (K @ K)
+
+
+def arm_poses(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Poses in the base of base and links 1..6, shape (n, 7, 4, 4), for q of shape (n, 6)."""
+    R = rotations(robot.axes, q)
+    out = np.zeros((len(q), 7, 4, 4))
+    out[:, 0] = np.eye(4)
+    joint = np.zeros((len(q), 4, 4))
+    joint[:, 3, 3] = 1.0
+    for i in range(6):
+        joint[:, :3, :3] = R[:, i]
+        out[:, i + 1] = out[:, i] @ (robot.X_PJ[i] @ joint)
+    return out
+
+
+def inverse_poses(X: np.ndarray) -> np.ndarray:
+    """Inverses of rigid poses, shape (..., 4, 4)."""
+    R = np.swapaxes(X[..., :3, :3], -1, -2)
+    out = np.zeros_like(X)
+    out[..., :3, :3] = R
+    out[..., :3, 3] = -np.einsum("...ij,...j->...i", R, X[..., :3, 3])
+    out[..., 3, 3] = 1.0
+    return out
 
 
 def clean_angle(q: np.ndarray) -> np.ndarray:
