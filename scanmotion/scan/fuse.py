@@ -9,8 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.errors import InputError
+from scanmotion.scan.quadrics import fitted
 from scanmotion.scan.simulate import Scan
-from scanmotion.scan.voxels import averaged, fitted, grouped
+from scanmotion.scan.voxels import averaged, extent, grouped
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -101,14 +102,11 @@ def fuse_points(raw: RawPoints, *, voxel: float = 0.002, radius: float | None = 
     if len(raw.points) == 0:
         raise InputError("no points to fuse")
     low, shape = _grid(raw.points, voxel)
-    unique, start, order = grouped(raw.points, low, voxel, shape)
-    mean, view = averaged(raw.points, raw.frame, raw.cameras, start, order)
-    points, normals, misfit = _fitted(
-        raw, unique, shape, start, order, mean, view, min(radius or voxel, voxel)
-    )
-    normals, lone = _sparse_spots(points, normals, view, misfit < 0, voxel)
+    spots = _fitted(raw, low, shape, voxel, min(radius or voxel, voxel))
+    points, view, start = spots.points, spots.view, spots.start
+    normals, lone = _sparse_spots(points, spots.normals, view, spots.misfit < 0, voxel)
     keep = np.logical_not(lone)
-    cells = np.rint(low / voxel) + np.stack(np.unravel_index(unique[keep], shape), axis=1)
+    cells = np.rint(low / voxel) + np.stack(np.unravel_index(spots.unique[keep], shape), axis=1)
     return Cloud(
         points=points[keep], normals=normals[keep], view_directions=view[keep],
         counts=np.diff(start)[keep],
@@ -166,15 +164,14 @@ def surface_groups(scans: Sequence[Scan], *, voxel: float) -> SpotPoints:
     """
     raw = joined_points(scans)
     low, shape = _grid(raw.points, voxel)
-    unique, start, order = grouped(raw.points, low, voxel, shape)
-    mean, view = averaged(raw.points, raw.frame, raw.cameras, start, order)
-    points, normals, misfit = _fitted(raw, unique, shape, start, order, mean, view, voxel)
-    spot = np.repeat(np.arange(len(unique)), np.diff(start))
+    spots = _fitted(raw, low, shape, voxel, voxel)
+    points, normals, start, order = spots.points, spots.normals, spots.start, spots.order
+    spot = np.repeat(np.arange(len(points)), np.diff(start))
     frames = raw.frame[order]
     several = np.maximum.reduceat(frames, start[:-1]) > np.minimum.reduceat(frames, start[:-1])
     # Points seen from behind the spot belong to the far side of a thin wall.
     towards = raw.cameras[frames] - raw.points[order]
-    keep = (several & (misfit > 0))[spot] & (np.einsum("ij,ij->i", towards, normals[spot]) > 0)
+    keep = (several & (spots.misfit > 0))[spot] & (np.einsum("ij,ij->i", towards, normals[spot]) > 0)
     if not keep.any():
         raise InputError("no spot of the surface was seen by two frames: nothing to calibrate from")
     spot, point = spot[keep], order[keep]
@@ -182,29 +179,45 @@ def surface_groups(scans: Sequence[Scan], *, voxel: float) -> SpotPoints:
     return SpotPoints(point=point, spot=spot, frame=frames[keep], height=height, normals=normals)
 
 
-def _fitted(
-    raw: RawPoints, unique: np.ndarray, shape: np.ndarray, start: np.ndarray, order: np.ndarray,
-    mean: np.ndarray, view: np.ndarray, radius: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Spots:
+    """Occupied voxels and the surface fitted through each; see `grouped`, `averaged`, `fitted`."""
+
+    unique: np.ndarray
+    start: np.ndarray
+    order: np.ndarray
+    view: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    misfit: np.ndarray
+
+
+def _fitted(raw: RawPoints, low: np.ndarray, shape: np.ndarray, voxel: float, radius: float) -> _Spots:
     """Runs the compiled fit on threads; each voxel is fitted for itself, so their number changes nothing."""
-    points, normals, misfit = mean.copy(), np.empty_like(mean), np.empty(len(mean))
-    ends = np.linspace(0, len(mean), 9).astype(int)
+    unique, start, order = grouped(raw.points, low, voxel, shape)
+    points, view, rows, frames = averaged(raw.points, raw.frame, raw.cameras, raw.sigma, start, order)
+    normals, misfit = np.empty_like(points), np.empty(len(points))
+    ends = np.linspace(0, len(points), 9).astype(int)
 
     def one(first: int, last: int) -> None:
         fitted(
-            first, last, radius, raw.points, raw.frame, raw.cameras, raw.sigma, unique, shape, start, order,
-            view, points, normals, misfit,
+            first, last, radius, rows, frames, raw.cameras, unique, shape, start, view, points, normals,
+            misfit,
         )  # fmt: skip
 
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
         list(pool.map(one, ends[:-1], ends[1:]))
-    return points, normals, misfit
+    return _Spots(
+        unique=unique, start=start, order=order, view=view, points=points, normals=normals, misfit=misfit
+    )
 
 
 def _grid(points: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray]:
     """Corner and cells of the grid: its planes are multiples of the voxel, whatever the points' extent."""
-    low = np.floor(points.min(axis=0) / voxel - 0.5)
-    cells = np.floor(points.max(axis=0) / voxel).astype(np.int64) - low.astype(np.int64) + 2
-    if (cells > 2_000_000).any():
-        raise InputError(f"voxel {voxel:g} m is too small for a cloud of {np.ptp(points, axis=0).max():g} m")
+    least, most = extent(points)
+    low = np.floor(least / voxel - 0.5)
+    cells = np.floor(most / voxel) - low + 2
+    if not (cells <= 2_000_000).all():
+        raise InputError(f"voxel {voxel:g} m is too small for a cloud of {(most - least).max():g} m")
+    cells = cells.astype(np.int64)
     return low.astype(np.float64) * voxel, cells
