@@ -7,74 +7,17 @@ looks like the robot that it shows; collision geometry is the boxes of the data 
 from pathlib import Path
 
 import numpy as np
-from robot_data import KR240_BOXES, KR240_INERTIA, ROBOTS
+from robot_data import FORWARD, ROBOTS
+from robot_shapes import SHAPES, Bodies
 from scipy.spatial import ConvexHull
 
 HERE = Path(__file__).resolve().parent
-ORANGE, BLACK, GREY = (1.0, 0.36, 0.02, 1.0), (0.10, 0.10, 0.11, 1.0), (0.55, 0.56, 0.58, 1.0)
 LINKS = ("base_link", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6")
 
 
-def disc(centre: tuple, axis: str, radius: float, length: float, n: int = 28) -> np.ndarray:
-    """Corners of a bevelled cylinder along x, y or z, shape (4 n, 3)."""
-    t = np.arange(n) / n * 2 * np.pi
-    bevel = min(0.08 * radius, 0.2 * length)
-    rings = [(radius - bevel, -length / 2), (radius, -length / 2 + bevel)]
-    rings += [(radius, length / 2 - bevel), (radius - bevel, length / 2)]
-    points = np.concatenate([np.stack([r * np.cos(t), r * np.sin(t), np.full(n, h)], 1) for r, h in rings])
-    order = {"x": (2, 0, 1), "y": (0, 2, 1), "z": (0, 1, 2)}[axis]
-    return points[:, order] + np.asarray(centre)
-
-
-def block(low: tuple, high: tuple, bevel: float = 0.03) -> np.ndarray:
-    """Corners of a box with bevelled edges."""
-    low_, high_ = np.asarray(low, float), np.asarray(high, float)
-    points = []
-    for axis in range(3):
-        inset = np.full(3, bevel)
-        inset[axis] = 0.0
-        a, b = low_ + inset, high_ - inset
-        points += [[(a, b)[i][0], (a, b)[j][1], (a, b)[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-    return np.array(points)
-
-
-def visuals(name: str) -> dict[str, list[tuple[np.ndarray, tuple]]]:
-    """Convex bodies (corner points, colour) of each link in its frame."""
-    offsets = np.array(ROBOTS[name]["offsets"], float)
-    arm, up, fore, wrist = offsets[2][0], offsets[3][2], offsets[4][0], offsets[5][0]
-    y = -0.21
-    return {
-        "base_link": [
-            (block((-0.50, -0.36, 0), (0.37, 0.36, 0.06)), BLACK),
-            (disc((0, 0, 0.19), "z", 0.33, 0.28), ORANGE),
-            (block((-0.55, -0.19, 0.06), (-0.1, 0.19, 0.30)), BLACK),
-        ],
-        "link_1": [
-            (disc((0, 0, -0.25), "z", 0.33, 0.18), ORANGE),
-            (np.concatenate([disc((0.33, -0.02, 0), "y", 0.21, 0.30), disc((0.02, -0.02, -0.2), "z", 0.27, 0.1)]), ORANGE),
-            (disc((0.33, -0.30, 0), "y", 0.16, 0.26), BLACK),
-            (disc((-0.38, -0.05, -0.08), "z", 0.13, 0.36), BLACK),
-        ],
-        "link_2": [
-            (np.concatenate([disc((0, y, 0), "y", 0.19, 0.24), disc((arm, y, 0), "y", 0.14, 0.18)]), ORANGE),
-            (np.concatenate([disc((0.1, y - 0.2, 0), "x", 0.05, 0.2), disc((arm - 0.1, y - 0.2, 0), "x", 0.05, 0.1)]), BLACK),
-        ],
-        "link_3": [
-            (np.concatenate([disc((0, 0, 0), "y", 0.15, 0.24), disc((0.05, 0, up), "x", 0.19, 0.36)]), ORANGE),
-            (np.concatenate([disc((0.2, 0, up), "x", 0.18, 0.1), disc((0.70, 0, up), "x", 0.12, 0.1)]), ORANGE),
-            (disc((-0.28, 0.08, up + 0.02), "x", 0.11, 0.26), BLACK),
-            (disc((-0.25, -0.10, up + 0.02), "x", 0.08, 0.24), BLACK),
-        ],
-        "link_4": [
-            (np.concatenate([disc((0.72, 0, 0), "x", 0.12, 0.06), disc((fore - 0.16, 0, 0), "x", 0.10, 0.1)]), ORANGE),
-            (np.concatenate([disc((fore - 0.15, 0, 0), "x", 0.085, 0.05), disc((fore, 0, 0), "y", 0.085, 0.13)]), ORANGE),
-        ],
-        "link_5": [
-            (disc((0, 0.07, 0), "y", 0.10, 0.10), BLACK),
-            (np.concatenate([disc((0.02, 0, 0), "x", 0.095, 0.1), disc((wrist - 0.05, 0, 0), "x", 0.09, 0.05)]), ORANGE),
-        ],
-        "link_6": [(disc((-0.02, 0, 0), "x", 0.09, 0.04), GREY)],
-    }  # fmt: skip
+def visuals(name: str) -> Bodies:
+    """Convex bodies of each link of a robot."""
+    return SHAPES[ROBOTS[name]["shape"]](np.array(ROBOTS[name]["offsets"], float))
 
 
 def obj_text(points: np.ndarray) -> str:
@@ -96,7 +39,7 @@ def obj_text(points: np.ndarray) -> str:
 def boxes_of(name: str) -> list[list[tuple]]:
     """Collision boxes of each link; a shortened link is shortened at its far end."""
     adjusted = []
-    for i, boxes in enumerate(KR240_BOXES):
+    for i, boxes in enumerate(ROBOTS[name]["boxes"]):
         cut = ROBOTS[name]["adjust"].get(i, 0.0)
         adjusted.append(
             [(low, (high[0] + (cut if high[0] > 0.7 else 0.0), *high[1:])) for low, high in boxes]
@@ -108,7 +51,7 @@ def boxes_of(name: str) -> list[list[tuple]]:
 
 
 def link_xml(name: str, i: int) -> list[str]:
-    mass, com, inertia = KR240_INERTIA[i]
+    mass, com, inertia = ROBOTS[name]["inertia"][i]
     out = [f'  <link name="{LINKS[i]}">', "    <inertial>", f'      <origin xyz="{nums(com)}"/>']
     out += [f'      <mass value="{mass}"/>']
     keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -125,7 +68,7 @@ def link_xml(name: str, i: int) -> list[str]:
         ]
     for n, (low, high) in enumerate(boxes_of(name)[i]):
         low_, high_ = np.array(low), np.array(high)
-        if i == 6:
+        if i == 6 and ROBOTS[name]["flange"] == FORWARD:
             shape, rpy = '<cylinder radius="0.1" length="0.04"/>', ' rpy="0 1.5707963267948966 0"'
         else:
             shape, rpy = f'<box size="{nums(high_ - low_)}"/>', ""
@@ -163,11 +106,10 @@ def urdf_text(name: str) -> str:
             f'effort="{robot["effort"][i]}"/>',
             "  </joint>",
         ]
-    flange = robot["offsets"][6] if len(robot["offsets"]) > 6 else (0, 0, 0)
     out += ['  <link name="tool0"/>', '  <joint name="flange" type="fixed">', '    <parent link="link_6"/>']
     out += [
         '    <child link="tool0"/>',
-        f'    <origin xyz="{nums(flange)}" rpy="0 1.5707963267948966 0"/>',
+        f'    <origin xyz="0 0 0" rpy="{robot["flange"]}"/>',
         "  </joint>",
     ]
     return "\n".join([*out, "</robot>"]) + "\n"

@@ -25,8 +25,8 @@ from scanmotion.cell.kinematics import (
 from scanmotion.cell.plant import build_cell
 from scanmotion.cell.robot import clean_angle
 
-SPHERICAL = ("kr240", "kr240-ultra", "kr210")
-ROBOTS = SPHERICAL
+SPHERICAL = ("kr240", "kr240-ultra", "kr210", "irb6700")
+ROBOTS = (*SPHERICAL, "ur10e")
 TURN = 2 * np.pi
 
 # Axes and points on them at the zero pose, in base axes, and the flange there: from the lengths alone.
@@ -320,7 +320,8 @@ def test_singular_wrist_is_solved(name, size):
     off = np.abs(found.q - q[found.pose_index])[:, rest].max(axis=1)
     best = np.full(len(q), np.inf)
     np.minimum.at(best, found.pose_index, off)
-    assert best.max() < 1e-6
+    # On a UR the free angle of A6 is tried in steps: an arm that is all but stretched may be missed.
+    assert np.mean(best < 1e-6) >= (1.0 if name in SPHERICAL else 0.99)
     if size >= 1e-5:
         assert nearest(found, q).max() < 1e-6
 
@@ -367,8 +368,9 @@ def test_out_of_reach_says_by_how_much(name):
         short = wrist_shortfall(cell, X)
         # Another shoulder may come nearer than the one that is stretched.
         assert (short <= d + 1e-6).all()
-        ahead = np.abs(short - d) < 0.02 * d + 1e-6
-        assert ahead.mean() > 0.3
+        assert (short > 1e-9).any()
+        if name in SPHERICAL:
+            assert (np.abs(short - d) < 0.02 * d + 1e-6).mean() > 0.3
         assert set(branches(cell, X).pose_index).isdisjoint(np.flatnonzero(short > 1e-9))
 
 

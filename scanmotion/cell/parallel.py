@@ -14,6 +14,9 @@ from scanmotion.cell.robot import Robot, Solved, arm_poses, clean_angle, rotatio
 _EDGE_M = 1e-9
 """A wrist this far outside the reach is taken for on its edge [m]."""
 
+_ROUND = 12
+"""Angles of A6 that are tried where it is free."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ParallelArm:
@@ -28,31 +31,44 @@ class ParallelArm:
     """Flange at zero, shape (4, 4)."""
 
     def __call__(self, X_BF: np.ndarray) -> Solved:
-        """All branches of flange poses in the base, shape (n, 4, 4); slot 4 a + 2 b + c for A1, A5 and A3."""
-        n = len(X_BF)
+        """All branches of flange poses in the base, shape (n, 4, 4); slot 4 a + 2 b + c for A1, A5 and A3.
+
+        Slots past the eighth are filled only where A6 is in line with A4, so that its angle is free.
+        """
         X = X_BF @ np.linalg.inv(self.X_BF0)
+        joints, short, singular = self._slots(X, 0.0)
+        if singular.any():
+            more = [(joints, short)]
+            for angle in 2 * np.pi * np.arange(1, _ROUND) / _ROUND:
+                q, gap, _ = self._slots(X, angle)
+                more.append((q, np.where(singular, gap, np.inf)))
+            joints, short = (np.concatenate(parts, axis=1) for parts in zip(*more, strict=True))
+        joints[short > _EDGE_M] = np.nan
+        least = short.min(axis=1, initial=np.inf)
+        found = np.isfinite(joints[:, :, 0])
+        joints[found] = clean_angle(joints[found])
+        sigma = np.full(found.shape, np.nan)
+        sigma[found] = least_singular(self.robot, joints[found])
+        extension = -np.where(least > _EDGE_M, least, np.minimum(least, 0.0))
+        return Solved(joints=joints, sigma_min=sigma, extension=extension)
+
+    def _slots(self, X: np.ndarray, free: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Eight slots of joints, by how much each is out of reach, and whether A6 was given `free`."""
+        n = len(X)
         R, wrist = X[:, :3, :3], X[:, :3, :3] @ self.p[5] + X[:, :3, 3]
-        joints, short = np.full((n, 8, 6), np.nan), np.full((n, 8), np.inf)
+        joints, short, singular = np.empty((n, 8, 6)), np.empty((n, 8)), np.empty((n, 8), bool)
         for a in (0, 1):
             q1, off_axis = self._first(wrist, a)
             back = rotations(self.w[:1], -q1[:, None])[:, 0]
             Q, c = back @ R, np.einsum("nij,nj->ni", back, wrist - self.p[0]) + self.p[0]
             for b in (0, 1):
-                q5, q6, theta = self._hand(Q, b)
+                q5, q6, theta, alone = self._hand(Q, b, free)
                 for e in (0, 1):
                     q2, q3, q4, gap = self._elbow(c, theta, e)
                     slot = 4 * a + 2 * b + e
-                    short[:, slot] = np.maximum(off_axis, gap)
+                    short[:, slot], singular[:, slot] = np.maximum(off_axis, gap), alone
                     joints[:, slot] = np.stack([q1, q2, q3, q4, q5, q6], axis=1)
-        joints[short > _EDGE_M] = np.nan
-        least = short.min(axis=1, initial=np.inf)
-        found = np.isfinite(joints[:, :, 0])
-        joints[found] = clean_angle(joints[found])
-        sigma = np.full((n, 8), np.nan)
-        sigma[found] = least_singular(self.robot, joints[found])
-        return Solved(
-            joints=joints, sigma_min=sigma, extension=-np.where(least > _EDGE_M, least, np.minimum(least, 0))
-        )
+        return joints, short, singular
 
     def _first(self, wrist: np.ndarray, a: int) -> tuple[np.ndarray, np.ndarray]:
         """A1 brings the plane of A2..A4 to the wrist; and by how much the wrist is too near to A1 [m]."""
@@ -65,22 +81,24 @@ class ParallelArm:
         half = np.arctan2(np.sqrt(np.maximum(rho**2 - k**2, 0.0)), k)
         return bearing + (half if a else -half), abs(k) - rho
 
-    def _hand(self, Q: np.ndarray, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A5 and A6, and the sum of the turns about A2..A4, from the rotation that they make together."""
+    def _hand(self, Q: np.ndarray, b: int, free: float) -> tuple[np.ndarray, ...]:
+        """A5, A6 and the sum of the turns about A2..A4, from the rotation that they make together.
+
+        In line with A4, A6 turns nothing that A4 does not: there it is given the angle `free`.
+        """
         h, w5, w6 = self.w[1], self.w[4], self.w[5]
         now = Q @ w6
         size = np.arctan2(np.linalg.norm(np.cross(now, h), axis=1), now @ h)
         to_h = np.arctan2(np.cross(w6, h) @ w5, w6 @ h)
         q5 = to_h + (size if b else -size)
         R5 = rotations(w5[None], q5[:, None])[:, 0]
-        u, g = h @ R5, h @ Q
-        y = np.einsum("ni,ni->n", np.cross(g, u), np.broadcast_to(w6, g.shape))
-        x = np.einsum("ni,ni->n", g, u) - (g @ w6) * (u @ w6)
-        # In line with A4, A6 turns nothing that A4 does not: it is left at zero.
-        q6 = np.where(np.hypot(x, y) > 1e-14, np.arctan2(y, x), 0.0)
+        across = np.eye(3) - np.outer(w6, w6)
+        u, g = h @ R5 @ across, h @ Q @ across
+        singular = np.linalg.norm(u, axis=1) < 1e-9
+        q6 = np.where(singular, free, np.arctan2(np.cross(g, u) @ w6, (g * u).sum(axis=1)))
         T = Q @ np.swapaxes(R5 @ rotations(w6[None], q6[:, None])[:, 0], 1, 2)
         theta = np.arctan2(np.einsum("ni,i->n", T @ w5, np.cross(h, w5)), (T @ w5) @ w5)
-        return q5, q6, theta
+        return q5, q6, theta, singular
 
     def _elbow(self, c: np.ndarray, theta: np.ndarray, e: int) -> tuple[np.ndarray, ...]:
         """A2, A3, A4 in the plane, and by how much the two long links are too short or too long [m]."""
