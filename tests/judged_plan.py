@@ -7,6 +7,7 @@ viewpoints are where the cell's own kinematics (not the judge's) put the scanner
 import itertools
 import json
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from fake_plan import trajectory_through
@@ -41,7 +42,7 @@ def seconds_for(cell, a, b, speed):
     return np.ceil(max(1.0, 1.05 * fastest / speed, 2.0 * abs(b[6] - a[6])) * 10) / 10
 
 
-def station(name, X, *, kind="station", **more):
+def station(name, X, *, kind: Any = "station", **more):
     return Viewpoint(
         id=name, X_OS=X, standoff=STANDOFF, step="local", kind=kind,
         slack=more.pop("slack", Slack(roll=False)), **more,
@@ -68,7 +69,7 @@ def hand_made_plan():
         station("L1", X[4]),
     )
     leg = SimpleNamespace(unreachable=(), served=views)
-    plan = SimpleNamespace(
+    plan: Any = SimpleNamespace(
         part=part, cell=cell,
         options=SimpleNamespace(seed=7, mode="default", strategy="two-step", source="mesh"),
         rounds=(SimpleNamespace(step="local", seen=np.zeros(0, bool), leg=leg),), trajectory=trajectory,
