@@ -16,8 +16,8 @@ def hull_rows(points: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndar
     Returns:
         least and greatest x, shape (m,) each; least > greatest where the hull does not reach.
     """
-    order = np.argsort(points[:, 0])
-    order = order[np.argsort(points[order, 1], kind="mergesort")]
+    # By height, and by x where heights are equal.
+    order = np.argsort(points[:, 1] + 1e-10 * points[:, 0])
     low = np.full(len(rows), np.inf)
     high = np.full(len(rows), -np.inf)
     for side in (1.0, -1.0):
