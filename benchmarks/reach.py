@@ -1,18 +1,21 @@
-"""Reach of a ring of 204 viewpoints against plain Drake InverseKinematics, in one run, and growth with memory.
+"""Reach of a ring of 204 viewpoints against plain Drake InverseKinematics, in one run; growth and memory.
 
     python benchmarks/reach.py [--peer 60] [--starts 10] [--growth 100 1000 10000]
 
 The ring: a box of 600 x 330 x 200 mm on the table of the cell `kr240`, the scanner square to the flange axis
-(tool.tilt_deg 90), 700 mm from the table's axis: 17 azimuths x 4 heights (-0.2, 0.2, 0.6, 1.0 m over the table)
-x 3 tilts (-30, 0, 30 deg up), roll free, table free, 10 mm of clearance everywhere. At -0.2 m the scanner stands
-under the table's rim, where only the tilt upward leaves room for the arm: 34 of the 204 are infeasible.
+(tool.tilt_deg 90), 750 mm from the table's axis: 17 azimuths x 4 heights (-0.1, 0.2, 0.6, 1.0 m over the
+table) x 3 tilts (-30, 0, 30 deg up), roll and table free, 10 mm of clearance everywhere. At -0.1 m, level or
+tilted down, the scanner's housing itself is in the table's rim at every roll (counted by FCL): 34 of the 204
+are infeasible for any arm.
 
-The peer is what Drake's users write: arm and table as seven unknowns, the scanner's position and axis given in
-the frame of the object, the roll free, a minimum distance for all pairs, SNOPT from random starts inside the
-limits until one succeeds, `--starts` at most. Both have the same solids, clearance, and pairs that are not
-judged. `--peer N` takes N viewpoints of the ring, spread evenly (204 for all, about 70 s); both are counted on
-those. What the peer finds is checked by our exact tier before it counts, and a viewpoint that either finds, or a
-four times finer search of ours, is feasible. Exit status 1 where ours misses one, or is not 100 times faster.
+The peer is what Drake's users write: arm and table as seven unknowns, the scanner's position and axis given
+in the frame of the object, the roll free, a minimum distance for all pairs, SNOPT from random starts inside
+the limits until one succeeds, `--starts` at most. Both have the same solids, clearance and pairs that are not
+judged. `--peer N` takes N viewpoints of the ring, spread evenly over feasible and infeasible (204 for all).
+What the peer finds is checked by our exact tier before it counts; feasible is what either finds, or a finer
+search of ours. Ours is timed twice: one configuration for each viewpoint, which is what the peer gives, and
+up to 96 with clearance and manipulability. Causes are among both; remedies, which the peer has nothing like,
+are timed apart. Seconds are of processor time, so that other load counts for neither. Exit status 1 where ours misses a viewpoint or is not 100 times faster.
 """
 
 import argparse
@@ -20,6 +23,7 @@ import resource
 import sys
 import time
 
+import fcl
 import numpy as np
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.solvers import SnoptSolver
@@ -33,10 +37,12 @@ from scanmotion.part import box_part
 from scanmotion.viewpoints.viewpoint import Viewpoint, look_at
 
 CLEARANCE_M = 0.01
-HEIGHTS_M = (-0.2, 0.2, 0.6, 1.0)
+HEIGHTS_M = (-0.1, 0.2, 0.6, 1.0)
 TILTS = np.deg2rad([-30.0, 0.0, 30.0])
-RADIUS_M = 0.7
-FINE = ReachOptions(azimuth_step=np.deg2rad(5.0), rolls=16)
+RADIUS_M = 0.75
+FINE = ReachOptions(azimuth_step=np.deg2rad(5.0), rolls=16, most=1, remedies=False)
+FIRST = ReachOptions(most=1, remedies=False)
+MANY = ReachOptions(remedies=False)
 
 
 def ring_cell() -> Cell:
@@ -67,7 +73,7 @@ def peer(cell: Cell, views: list[Viewpoint], starts: int) -> tuple[list[np.ndarr
     plant = SlackPlant(cell, part="hull")
     rng, solver = np.random.default_rng(0), SnoptSolver()
     low, high = np.maximum(cell.q_min, -np.pi * 2), np.minimum(cell.q_max, np.pi * 2)
-    found, solves, began = [], 0, time.perf_counter()
+    found, solves, began = [], 0, time.process_time()
     for view in views:
         ik = InverseKinematics(plant.plant, plant.context, True)
         p = view.p_OS
@@ -85,56 +91,83 @@ def peer(cell: Cell, views: list[Viewpoint], starts: int) -> tuple[list[np.ndarr
                 answer = plant.configuration(result.GetSolution(ik.q()))
                 break
         found.append(answer)
-    return found, time.perf_counter() - began, solves
+    return found, time.process_time() - began, solves
 
 
 def peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
+def housing_blocked(cell: Cell, view: Viewpoint, rolls: int = 720) -> bool:
+    """Whether the scanner's housing alone comes too near to the table at every roll."""
+    body = {b.name: b for b in cell.bodies}
+    housing, table = body["scanner"], body["table"]
+    box, disc = fcl.Box(*housing.size), fcl.Cylinder(*table.size)
+    X_ST = np.linalg.inv(cell.X_TO @ view.X_OS) @ table.X_LG
+    other = fcl.CollisionObject(disc, fcl.Transform(X_ST[:3, :3], X_ST[:3, 3]))
+    X_SG = np.linalg.inv(cell.X_FS) @ housing.X_LG
+    for roll in 2 * np.pi * np.arange(rolls) / rolls:
+        R = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
+        item = fcl.CollisionObject(box, fcl.Transform(R @ X_SG[:3, :3], R @ X_SG[:3, 3]))
+        if fcl.distance(item, other, fcl.DistanceRequest(), fcl.DistanceResult()) >= CLEARANCE_M:
+            return False
+    return True
+
+
+def timed(cell: Cell, views: list[Viewpoint], clearance: Clearance, options: ReachOptions) -> tuple:
+    began = time.process_time()
+    found = reach(cell, views, clearance=clearance, options=options)
+    return found, time.process_time() - began
+
+
 def compare(cell: Cell, clearance: Clearance, count: int, starts: int) -> bool:
     """Both on the same viewpoints; whether the targets are met."""
     views = ring(17)
-    took = time.perf_counter()
-    whole = reach(cell, views, clearance=clearance)
-    took = time.perf_counter() - took
-    ours = np.array([r.unreachable is None for r in whole])
-    picked = np.unique(np.linspace(0, len(views) - 1, count).astype(int))
+    picked = np.unique(np.round(np.linspace(0, len(views) - 1, count)).astype(int))
     chosen = [views[i] for i in picked]
     answers, seconds, solves = peer(cell, chosen, starts)
     theirs = np.zeros(len(views), bool)
     checker = Clearance(cell, clearance=CLEARANCE_M - 2e-4)
     for i, q in zip(picked, answers, strict=True):
         theirs[i] = q is not None and bool(checker.free(q[None])[0])
+    first, took = timed(cell, views, clearance, FIRST)
+    many, took_many = timed(cell, views, clearance, MANY)
+    told, took_told = timed(cell, views, clearance, ReachOptions())
+    ours = np.array([r.unreachable is None for r in first])
     left = np.flatnonzero(~ours)
-    fine = reach(cell, [views[i] for i in left], clearance=clearance, options=FINE)
     feasible = ours | theirs
-    feasible[left] |= [r.unreachable is None for r in fine]
-    kept = sum(len(r.q) for r in whole)
-    ratio = (len(views) / took) / (len(chosen) / seconds)
-    print(f"ring of {len(views)} viewpoints, {int(feasible.sum())} feasible as far as anything found")
-    print(
-        f"ours: {int(ours.sum())} of {int(feasible.sum())} found, {len(views) / took:.0f} viewpoints/s "
-        f"({1e3 * took / len(views):.2f} ms each, {kept} configurations kept)"
-    )
+    feasible[left] |= [
+        r.unreachable is None for r in timed(cell, [views[i] for i in left], clearance, FINE)[0]
+    ]
+    never = sum(housing_blocked(cell, views[i]) for i in left)
+    n, rate = len(views), len(chosen) / seconds
+    print(f"ring of {n} viewpoints: {int(feasible.sum())} feasible, {never} that no arm could serve")
     print(
         f"peer, {len(chosen)} of them, <= {starts} random starts: {int(theirs.sum())} of "
-        f"{int(feasible[picked].sum())} found, {len(chosen) / seconds:.2f} viewpoints/s, {solves} solves of "
+        f"{int(feasible[picked].sum())} found, {rate:.2f} viewpoints/s, {solves} solves of "
         f"{1e3 * seconds / solves:.0f} ms"
     )
+    for name, found, s in (
+        ("one configuration", first, took), ("up to 96", many, took_many), ("with remedies", told, took_told)
+    ):  # fmt: skip
+        print(
+            f"ours, {name}: {sum(r.unreachable is None for r in found)} of {int(feasible.sum())} found, "
+            f"{n / s:.0f} viewpoints/s ({1e3 * s / n:.2f} ms each), {n / s / rate:.0f} times the peer's, "
+            f"{sum(len(r.q) for r in found)} configurations"
+        )
     missed = int((feasible & ~ours).sum())
-    print(f"ours is {ratio:.0f} times faster and misses {missed}")
-    return missed == 0 and ratio >= 100
+    print(f"missed: {missed}")
+    return missed == 0 and n / took / rate >= 100
 
 
 def growth(cell: Cell, clearance: Clearance, sizes: list[int]) -> None:
     """Seconds and peak memory over the number of viewpoints, each size from a ring of more heights."""
     for size in sizes:
-        heights = tuple(np.linspace(0.0, 1.2, max(round(size / 3 / 20), 1)))
+        heights = tuple(np.linspace(0.1, 1.2, max(round(size / 3 / 20), 1)))
         views = ring(-(-size // (3 * len(heights))), heights)[:size]
-        began = time.perf_counter()
-        found = reach(cell, views, clearance=clearance)
-        took = time.perf_counter() - began
+        began = time.process_time()
+        found = reach(cell, views, clearance=clearance, options=MANY)
+        took = time.process_time() - began
         held = sum(r.q.nbytes + r.X_OS.nbytes + r.clearance.nbytes for r in found) / 2**20
         print(
             f"{len(views)} viewpoints: {took:.2f} s, {len(views) / took:.0f}/s, "
@@ -153,7 +186,8 @@ def main() -> int:
     args = parser.parse_args()
     cell = ring_cell()
     clearance = Clearance(cell)
-    reach(cell, ring(1), clearance=clearance)
+    for options in (FIRST, MANY):
+        reach(cell, ring(1), clearance=clearance, options=options)
     met = compare(cell, clearance, args.peer, args.starts)
     growth(cell, clearance, args.growth)
     return int(not met)

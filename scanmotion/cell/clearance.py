@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from scanmotion.cell.batch import first_free, lattice, sure_points, surely_blocked, tool_blocked
 from scanmotion.cell.filter import box_of, edge_free, edges_free, filter_from, margins
 from scanmotion.cell.kinematics import link_poses, object_poses
 from scanmotion.cell.plant import TOOL, Cell
+from scanmotion.cell.robot import inverse_poses
 
 PAD_M = 0.004
 """Half of the least step along an edge; the fast tier keeps this much more than the clearances [m]."""
@@ -23,13 +25,17 @@ class Clearance:
     Args:
         cell: the cell, with the part that the arm must not touch.
         clearance: least distance to part and surroundings; default: of the cell [m].
+        like: a checker of another layout with the same part, whose distances to the part are used again.
     """
 
-    def __init__(self, cell: Cell, *, clearance: float | None = None) -> None:
+    def __init__(
+        self, cell: Cell, *, clearance: float | None = None, like: "Clearance | None" = None
+    ) -> None:
         self.cell = cell
         self.clearance = cell.settings.process.clearance_m if clearance is None else clearance
         self.self_clearance = cell.settings.process.self_clearance_m
-        self.filter = filter_from(cell, self.clearance + PAD_M, self.self_clearance + PAD_M)
+        grid = like.filter.grid if like is not None and like.cell.part is cell.part else None
+        self.filter = filter_from(cell, self.clearance + PAD_M, self.self_clearance + PAD_M, grid=grid)
         f = self.filter
         self._arrays = (f.chain, f.spheres, f.boxes, f.world, f.grid)
 
@@ -41,15 +47,71 @@ class Clearance:
         """Whether the fast tier calls each row of q (n, 7) free."""
         return self.margins(q, enough=1e-6) >= 0.0
 
+    def first_free(self, q: np.ndarray, starts: np.ndarray, geometry: np.ndarray, most: int) -> np.ndarray:
+        """Which rows of q (m, 7) the fast tier calls free, for each owner until `most` of its rows are.
+
+        Args:
+            q: rows, those of one owner after those of another [rad].
+            starts: the first row of each owner, and m, shape (n + 1,).
+            geometry: rows with the same number place arm and table alike, shape (m,).
+            most: how many free rows are wanted of each owner.
+        """
+        return first_free(_rows(q), starts, geometry, most, *self._arrays)
+
+    def surely_blocked(self, q: np.ndarray) -> np.ndarray:
+        """Whether each row of q (n, 7) is blocked beyond doubt: by points inside the robot, shape (n,).
+
+        Between this and `fast_free` only the exact tier knows.
+        """
+        f = self.filter
+        return surely_blocked(
+            _rows(q), self._sure, PAD_M, f.chain, f.spheres, f.boxes, self._solid, f.world, f.grid
+        )
+
+    def tool_blocked(self, X_WS: np.ndarray, e1: np.ndarray) -> np.ndarray:
+        """Whether the tool alone is blocked beyond doubt with the scanner at X_WS (n, 4, 4), shape (n,).
+
+        Args:
+            X_WS: scanner poses.
+            e1: the table's angle at each, shape (n,) [rad].
+        """
+        X_WF = np.ascontiguousarray(X_WS @ inverse_poses(self.cell.X_FS))
+        f = self.filter
+        return tool_blocked(X_WF, np.ascontiguousarray(e1), self._tool, PAD_M, f.world, f.grid)
+
+    @cached_property
+    def _tool(self) -> np.ndarray:
+        return np.concatenate([lattice(b) for b in self.cell.bodies if b.link == TOOL])
+
+    @cached_property
+    def _sure(self) -> np.ndarray:
+        return sure_points(self.cell, self.filter.spheres)
+
+    @cached_property
+    def _solid(self) -> np.ndarray:
+        """Which of the filter's boxes are the bodies themselves, not boxes around cylinders."""
+        return np.array([b.shape == "box" for b in self.cell.bodies if b.link <= TOOL])
+
     def free(self, q: np.ndarray) -> np.ndarray:
         """Whether each row of q (n, 7) keeps all clearances, shape (n,)."""
         q = _rows(q)
         free = self.fast_free(q)
         doubtful = np.flatnonzero(~free)
+        free[doubtful] = self.exactly_free(q[doubtful])
+        return free
+
+    def exactly_free(self, q: np.ndarray) -> np.ndarray:
+        """As `free`, for rows (n, 7) that the fast tier has refused: it is not asked again."""
+        q = _rows(q)
+        doubtful = np.flatnonzero(~self.surely_blocked(q))
         doubtful = doubtful[self.cell.drake.free(q[doubtful])]
-        if self._part is not None:
-            distance = np.array([self._part_distance(row, self.clearance)[0] for row in q[doubtful]])
-            doubtful = doubtful[distance >= self.clearance] if len(doubtful) else doubtful
+        if self._part is not None and len(doubtful):
+            near = self._near_part(q[doubtful], self.clearance)
+            ok = ~near
+            for i in np.flatnonzero(near):
+                ok[i] = self._part_distance(q[doubtful[i]], self.clearance)[0] >= self.clearance
+            doubtful = doubtful[ok]
+        free = np.zeros(len(q), bool)
         free[doubtful] = True
         return free
 
@@ -97,7 +159,20 @@ class Clearance:
         bodies = [b for b in self.cell.bodies if 2 <= b.link <= TOOL]
         shapes = [fcl.CollisionObject(fcl.Box(*(2 * box_of(b))), fcl.Transform()) for b in bodies]
         ball = part.bounds.mean(axis=0), float(np.linalg.norm(part.extent)) / 2
-        return fcl.CollisionObject(model, fcl.Transform()), bodies, shapes, ball
+        links = np.array([b.link for b in bodies])
+        X_LG = np.array([b.X_LG for b in bodies])
+        radii = np.array([np.linalg.norm(box_of(b)) for b in bodies])
+        return fcl.CollisionObject(model, fcl.Transform()), bodies, shapes, ball, links, X_LG, radii
+
+    def _near_part(self, q: np.ndarray, enough: float) -> np.ndarray:
+        """Whether a body's enclosing ball is within `enough` of the part's in each row of q, shape (n,)."""
+        _, _, _, (middle, radius), of_link, X_LG, radii = self._part
+        links = link_poses(self.cell, q)
+        frames = np.concatenate([links, (links[:, 6] @ self.cell.robot.X_6F)[:, None]], axis=1)
+        p = (frames[:, of_link] @ X_LG)[:, :, :3, 3]
+        X_WO = object_poses(self.cell, q)
+        centre = X_WO[:, :3, :3] @ middle + X_WO[:, :3, 3]
+        return (np.linalg.norm(p - centre[:, None], axis=2) - radii < radius + enough).any(axis=1)
 
     def _part_distance(self, q: np.ndarray, enough: float = np.inf) -> tuple[float, str]:
         """Exact distance between robot and part, and the robot's body; -0.001 where they touch.
@@ -106,15 +181,14 @@ class Clearance:
         """
         import fcl
 
-        obj, bodies, shapes, (middle, radius) = self._part
+        obj, bodies, shapes, (middle, radius), of_link, X_LG, radii = self._part
         X_WO = object_poses(self.cell, q)[0]
         obj.setTransform(fcl.Transform(X_WO[:3, :3], X_WO[:3, 3]))
         links = link_poses(self.cell, q)[0]
-        flange = links[6] @ self.cell.robot.X_6F
+        frames = np.concatenate([links, (links[6] @ self.cell.robot.X_6F)[None]])
+        poses = frames[of_link] @ X_LG
         centre = X_WO[:3, :3] @ middle + X_WO[:3, 3]
-        poses = [(flange if b.link == TOOL else links[b.link]) @ b.X_LG for b in bodies]
-        apart = np.array([np.linalg.norm(X[:3, 3] - centre) for X in poses]) - radius
-        apart -= np.array([np.linalg.norm(box_of(b)) for b in bodies])
+        apart = np.linalg.norm(poses[:, :3, 3] - centre, axis=1) - radius - radii
         best, name = 1e3, ""
         for k in np.argsort(apart, kind="stable"):
             if apart[k] > min(best, enough, 1.0):

@@ -16,7 +16,12 @@ from scanmotion.cell.robot import Body
 from scanmotion.part import Part
 
 _CELL_M = (0.30, 0.24, 0.17, 0.14, 0.09, 0.08, 0.06, 0.05)
-"""Edge of the cells that a link's boxes are cut into before each is wrapped in a sphere, by link [m]."""
+"""Edge of the cells that a link's boxes are cut into before each is wrapped in a sphere, by link [m].
+
+For an arm as long as the KR 240; a shorter one has finer cells in proportion.
+"""
+_LONG_M = 3.6
+"""The offsets of the KR 240's joints, one after the other."""
 GRID_M = 0.01
 IGNORED_PAIRS = frozenset({(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (0, 2), (4, 6), (6, 7), (5, 7)})
 """Links that touch by construction, or whose boxes meet where the robot's bodies do not (robots.md 1.5).
@@ -45,10 +50,10 @@ def box_of(body: Body) -> np.ndarray:
     return np.array([body.size[0], body.size[0], body.size[1] / 2])
 
 
-def _sphere_cover(body: Body) -> np.ndarray:
+def _sphere_cover(body: Body, scale: float = 1.0) -> np.ndarray:
     """Spheres (x, y, z, r) in the link's frame that cover the body, shape (k, 4)."""
     half = box_of(body)
-    n = np.maximum(np.ceil(2 * half / _CELL_M[body.link] - 1e-9), 1).astype(int)
+    n = np.maximum(np.ceil(2 * half / (scale * _CELL_M[body.link]) - 1e-9), 1).astype(int)
     radius = float(np.linalg.norm(half / n))
     axes = [(-half[i] + (2 * np.arange(n[i]) + 1) * half[i] / n[i]) for i in range(3)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -57,16 +62,21 @@ def _sphere_cover(body: Body) -> np.ndarray:
     return np.column_stack([centres, np.full(len(centres), radius)])
 
 
-def filter_from(cell: Cell, clearance: float, self_clearance: float) -> Filter:
+def filter_from(
+    cell: Cell, clearance: float, self_clearance: float, *, grid: tuple[Any, ...] | None = None
+) -> Filter:
     """Prepares the kernels' arrays.
 
     Args:
         cell: the cell, with or without a part.
         clearance: least distance to table, floor, obstacles and part [m].
         self_clearance: least distance between links [m].
+        grid: of another cell with the same part, whose distances are used again.
     """
     moving = sorted((b for b in cell.bodies if 1 <= b.link <= TOOL), key=lambda b: -b.link)
-    covers = [_sphere_cover(b) for b in moving]
+    length = float(np.linalg.norm(cell.robot.X_PJ[:, :3, 3], axis=1).sum())
+    # The tool is as large on any arm.
+    covers = [_sphere_cover(b, min(1.0, length / _LONG_M) if b.link < TOOL else 1.0) for b in moving]
     spheres = np.concatenate(covers)
     groups = np.array([b.link for b in moving])
     starts = np.concatenate([[0], np.cumsum([len(c) for c in covers])])
@@ -87,7 +97,7 @@ def filter_from(cell: Cell, clearance: float, self_clearance: float) -> Filter:
             np.array([box_of(b) for b in robot]), pairs, float(self_clearance),
         ),
         world=(*_world_arrays(cell), float(clearance)),
-        grid=_grid(cell),
+        grid=_grid(cell) if grid is None else (*grid[:4], cell.X_WT @ cell.X_TO),
         reach=_reach(cell, spheres, np.repeat(groups, np.diff(starts))),
     )  # fmt: skip
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydrake.common import Parallelism
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import MultibodyPlant
@@ -167,7 +168,10 @@ class DrakeCell:
         """Whether arm and tool keep their clearances to everything but the part, shape (n,)."""
         if len(q) == 0:
             return np.zeros(0, bool)
-        return np.array(self.checker.CheckConfigsCollisionFree(list(self.positions(q))), dtype=bool)
+        # Waking threads costs more than a few hundred checks.
+        threads = Parallelism(1) if len(q) < 500 else Parallelism.Max()
+        rows = list(self.positions(q))
+        return np.array(self.checker.CheckConfigsCollisionFree(rows, parallelize=threads), dtype=bool)
 
     def nearest(self, q: np.ndarray) -> tuple[float, tuple[str, str]]:
         """Least distance [m] and the two bodies of one configuration (7,); the part is not among them."""

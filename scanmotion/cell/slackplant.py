@@ -1,6 +1,6 @@
-"""The cell as a plant for Drake's InverseKinematics: every solid in reach, the part among them as its hull."""
+"""The cell as a plant for Drake's InverseKinematics: every solid, the part among them as its hull."""
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from pydrake.geometry import (
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 class SlackPlant:
     """Plant, context and frames in which a configuration of arm and table is sought by InverseKinematics.
 
-    Drake's proximity takes a mesh as its convex hull: with the hull what is found is free of the part, but what
-    would have to reach into a notch is not found; without the part the caller has to check what comes out.
+    Drake's proximity takes a mesh as its convex hull: with the hull what is found is free of the part, but
+    what has to reach into a notch is not found; without the part the caller has to check what comes out.
     One instance belongs to one thread.
 
     Args:
@@ -38,10 +38,12 @@ class SlackPlant:
         builder = DiagramBuilder()
         self.plant, scene = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
         add_cell(self.plant, cell)
+        X_FS: Any = cell.X_FS
+        X_TO: Any = cell.X_TO
         flange = self.plant.GetFrameByName(cell.settings.robot.flange)
         table = self.plant.GetFrameByName("turntable")
-        self.frame_S = self.plant.AddFrame(FixedOffsetFrame("S", flange, RigidTransform(cell.X_FS)))
-        self.frame_O = self.plant.AddFrame(FixedOffsetFrame("O", table, RigidTransform(cell.X_TO)))
+        self.frame_S = self.plant.AddFrame(FixedOffsetFrame("S", flange, RigidTransform(X_FS)))
+        self.frame_O = self.plant.AddFrame(FixedOffsetFrame("O", table, RigidTransform(X_TO)))
         if part == "hull" and cell.part is not None:
             _add_hull(self.plant, cell)
         self.plant.Finalize()
@@ -75,9 +77,11 @@ def _add_hull(plant: MultibodyPlant, cell: "Cell") -> None:
     assert cell.part is not None
     points = cell.part.vertices
     corners = points[ConvexHull(points).vertices]
-    body = plant.GetBodyByName("turntable")
-    X = RigidTransform(cell.X_TO)
-    plant.RegisterCollisionGeometry(body, X, Convex(corners.T, "part"), "part", ProximityProperties())
+    # The stubs of pydrake know no arrays.
+    X: Any = cell.X_TO
+    convex: Any = Convex
+    body, shape = plant.GetBodyByName("turntable"), convex(corners.T, "part")
+    plant.RegisterCollisionGeometry(body, RigidTransform(X), shape, "part", ProximityProperties())
 
 
 def _filter(plant: MultibodyPlant, scene: SceneGraph, cell: "Cell") -> None:

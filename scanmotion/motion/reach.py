@@ -8,14 +8,14 @@ import numpy as np
 from scanmotion.cell.clearance import Clearance
 from scanmotion.cell.kinematics import branches, scanner_in_object, wrist_shortfall
 from scanmotion.cell.plant import Cell
-from scanmotion.cell.robot import clean_angle
-from scanmotion.motion.causes import Unreachable, cause_of
+from scanmotion.motion.candidates import Candidates, candidates, presented, table_angles, turns_about_z
+from scanmotion.motion.causes import Remedies, Unreachable, cause_of
 from scanmotion.viewpoints.viewpoint import Viewpoint
 
 __all__ = ["Reach", "Unreachable", "reach", "reachable_mask"]
 
-SINGULAR = 0.02
-"""Configurations whose least singular value is below this come last: next to them joints race."""
+_BLOCK = 64
+"""Viewpoints that are looked at together: enough to spread the cost of each call, little enough memory."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,7 +45,9 @@ class ReachOptions:
     rolls: int = 8
     """Rolls about the optical axis, where the viewpoint leaves it free."""
     most: int = 96
-    """Configurations kept for each viewpoint."""
+    """Configurations kept for each viewpoint; few are found sooner, as fewer table angles are tried."""
+    remedies: bool = True
+    """Whether to look for what would mend an unreachable viewpoint."""
 
 
 def reach(
@@ -71,115 +73,132 @@ def reach(
     """
     clearance = clearance or Clearance(cell)
     options = options or ReachOptions()
-    found = []
-    for n, viewpoint in enumerate(viewpoints):
-        found.append(_reach_one(cell, viewpoint, clearance, options))
-        if progress is not None:
-            progress((n + 1) / len(viewpoints))
+    remedies = Remedies(cell, clearance, _serves_with(options)) if options.remedies else None
+    found: list[Reach] = []
+    for first in range(0, len(viewpoints), _BLOCK):
+        block = _Block(cell, list(viewpoints[first : first + _BLOCK]), clearance, options)
+        block.look()
+        for n in range(len(block.viewpoints)):
+            found.append(block.answer(n, remedies))
+            if progress is not None:
+                progress(len(found) / len(viewpoints))
     return found
 
 
-def _reach_one(cell: Cell, viewpoint: Viewpoint, clearance: Clearance, options: ReachOptions) -> Reach:
-    for span in (options.azimuth_range, np.pi):
-        angles = table_angles(cell, viewpoint.X_OS, options.azimuth_step, span)
-        X_WS, table = presented(cell, viewpoint, angles, options.rolls)
-        solved = branches(cell, X_WS)
-        e1 = table[solved.pose_index]
-        q = np.column_stack([solved.q, np.zeros(len(e1)) if viewpoint.kind == "revolution" else e1])
-        inside = (q[:, 6] >= cell.q_min[6]) & (q[:, 6] <= cell.q_max[6])
-        q, sigma = q[inside], solved.manipulability[inside]
-        order = _preferred(cell, viewpoint, q, sigma)
-        q, sigma = q[order], sigma[order]
-        free = _free(viewpoint, clearance, q, options.most)
-        if free.any():
-            return _best(cell, viewpoint, clearance, q[free], sigma[free], options.most)
-    empty = np.zeros((0, 7))
-    return Reach(
-        viewpoint=viewpoint, q=empty, clearance=np.zeros(0), manipulability=np.zeros(0),
-        X_OS=np.zeros((0, 4, 4)), unreachable=cause_of(cell, viewpoint, clearance, X_WS, table, q),
+def _serves_with(options: ReachOptions) -> Callable[[Cell, Clearance, Viewpoint], bool]:
+    """A coarser look whose poses are all among those of `options`: what it finds, reach finds there."""
+    coarse = ReachOptions(
+        azimuth_step=3 * options.azimuth_step, azimuth_range=options.azimuth_range,
+        rolls=max(options.rolls // 2, 1) if options.rolls % 2 == 0 else options.rolls, most=1,
     )  # fmt: skip
 
+    def serves(cell: Cell, clearance: Clearance, viewpoint: Viewpoint) -> bool:
+        block = _Block(cell, [viewpoint], clearance, coarse)
+        block.look()
+        return bool(block.kept[0])
 
-def table_angles(cell: Cell, X_OS: np.ndarray, step: float, span: float) -> np.ndarray:
-    """Table angles that bring the scanner within `span` of the robot's side, nearest first [rad]."""
-    toward = cell.X_WB[:2, 3] - cell.X_WT[:2, 3]
-    robot = np.arctan2(toward[1], toward[0])
-    p = X_OS[:2, 3]
-    here = np.arctan2(p[1], p[0]) if np.linalg.norm(p) > 0.05 else 0.0
-    count = int(np.floor(span / step + 1e-9))
-    offsets = step * np.arange(-count, count + 1)
-    offsets = offsets[offsets > -np.pi + 1e-9]
-    offsets = offsets[np.argsort(np.abs(offsets), kind="stable")]
-    return clean_angle(robot - here + offsets)
+    return serves
 
 
-def presented(
-    cell: Cell, viewpoint: Viewpoint, angles: np.ndarray, rolls: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Scanner poses in W at each table angle and roll, shape (n, 4, 4), and the table angle of each (n,)."""
-    rolls = rolls if viewpoint.slack.roll else 1
-    Z = _turns(angles)
-    R = _turns(2 * np.pi * np.arange(rolls) / rolls)
-    X = (cell.X_WT @ Z @ cell.X_TO @ viewpoint.X_OS)[:, None] @ R[None]
-    return X.reshape(-1, 4, 4), np.repeat(angles, rolls)
+class _Block:
+    """Some viewpoints that are looked at together."""
 
+    def __init__(
+        self, cell: Cell, viewpoints: list[Viewpoint], clearance: Clearance, options: ReachOptions
+    ) -> None:
+        self.cell, self.viewpoints, self.clearance, self.options = cell, viewpoints, clearance, options
+        step = options.azimuth_step
+        self.angles = [table_angles(cell, v.X_OS, step, np.pi) for v in viewpoints]
+        self.near = len(table_angles(cell, np.eye(4), step, options.azimuth_range))
+        self.kept: list[list[np.ndarray]] = [[] for _ in viewpoints]
+        """Free configurations with their singular values, (k, 8)."""
+        self.tried: list[list[np.ndarray]] = [[] for _ in viewpoints]
+        """Configurations that the fast tier refused, one for each geometry, (k, 8)."""
 
-def _turns(angles: np.ndarray) -> np.ndarray:
-    X = np.tile(np.eye(4), (len(angles), 1, 1))
-    X[:, 0, 0] = X[:, 1, 1] = np.cos(angles)
-    X[:, 1, 0] = np.sin(angles)
-    X[:, 0, 1] = -X[:, 1, 0]
-    return X
+    def look(self) -> None:
+        """Fast tier at ever more table angles; the far side only where the near one serves none."""
+        size = max(2, self.options.most // 4)
+        first = 0
+        while first < max((len(a) for a in self.angles), default=0):
+            last = first + size
+            if first < self.near:
+                last = min(last, self.near)
+            todo = [n for n in range(len(self.viewpoints)) if self._wanting(n, first)]
+            if not todo:
+                break
+            self._wave(todo, first, last)
+            first, size = last, 2 * size
 
+    def _wanting(self, n: int, first: int) -> bool:
+        count = sum(len(k) for k in self.kept[n])
+        return count < (self.options.most if first < self.near else 1)
 
-def _free(viewpoint: Viewpoint, clearance: Clearance, q: np.ndarray, most: int) -> np.ndarray:
-    """Which configurations are free; the exact tier is asked only where the fast one finds none."""
-    if len(q) == 0:
-        return np.zeros(0, bool)
-    free = clearance.fast_free(q)
-    if viewpoint.kind == "revolution":
-        turned = q.copy()
-        turned[:, 6] += 2 * np.pi
-        where = np.flatnonzero(free)
-        free[:] = False
+    def _wave(self, todo: list[int], first: int, last: int) -> None:
+        views = [self.viewpoints[n] for n in todo]
+        angles = [self.angles[n][first:last] for n in todo]
+        found = candidates(self.cell, views, angles, self.options.rolls, hopeless=self.clearance.tool_blocked)
+        free = self.clearance.first_free(found.q, found.starts, found.geometry, self.options.most)
+        for i, n in enumerate(todo):
+            rows = found.of(i)
+            q, ok = np.column_stack([found.q[rows], found.sigma[rows]]), free[rows]
+            if self.viewpoints[n].kind == "revolution":
+                ok = self._whole_turn(found, rows)
+            if ok.any():
+                self.kept[n].append(q[ok])
+            else:
+                _, once = np.unique(found.geometry[rows], return_index=True)
+                self.tried[n].append(q[np.sort(once)])
+
+    def _whole_turn(self, found: Candidates, rows: slice) -> np.ndarray:
+        """Which rows stay free while the table turns once, until enough of them do."""
+        q = found.q[rows]
+        ok = self.clearance.fast_free(q)
+        where = np.flatnonzero(ok)
+        ok[:] = False
         for first in range(0, len(where), 48):
             batch = where[first : first + 48]
-            free[batch] = clearance.edges_free(q[batch], turned[batch])
-            if free.sum() >= most:
+            turned = q[batch].copy()
+            turned[:, 6] += 2 * np.pi
+            ok[batch] = self.clearance.edges_free(q[batch], turned)
+            if ok.sum() >= self.options.most:
                 break
-        return free
-    if not free.any():
-        spread = np.linspace(0, len(q) - 1, min(len(q), 200)).astype(int)
-        free[spread] = clearance.free(q[spread])
-    return free
+        return ok
 
+    def answer(self, n: int, remedies: Remedies | None) -> Reach:
+        """What was found for viewpoint n; the exact tier is asked only where the fast one finds nothing."""
+        viewpoint = self.viewpoints[n]
+        if self.kept[n]:
+            return self._reach(viewpoint, np.concatenate(self.kept[n]))
+        tried = np.concatenate(self.tried[n]) if self.tried[n] else np.zeros((0, 8))
+        exact = self._exact(tried) if viewpoint.kind == "station" else tried[:0]
+        if len(exact):
+            return self._reach(viewpoint, exact)
+        for angles in (self.angles[n][:3], self.angles[n]):
+            if len(tried) == 0:
+                # The tool itself is in the way everywhere, or the arm does not go there.
+                found = candidates(self.cell, [viewpoint], [angles], self.options.rolls)
+                tried = np.column_stack([found.q, found.sigma])
+        X_WS, table = presented(self.cell, viewpoint, self.angles[n], self.options.rolls)
+        cause = cause_of(self.cell, viewpoint, self.clearance, X_WS, table, tried[:, :7], remedies)
+        return self._reach(viewpoint, tried[:0], cause)
 
-def _best(
-    cell: Cell, viewpoint: Viewpoint, clearance: Clearance, q: np.ndarray, sigma: np.ndarray, most: int
-) -> Reach:
-    """The first `most` configurations."""
-    q, sigma = q[:most], sigma[:most]
-    return Reach(
-        viewpoint=viewpoint, q=q, clearance=np.maximum(clearance.margins(q), 0.0),
-        manipulability=sigma, X_OS=scanner_in_object(cell, q),
-    )  # fmt: skip
+    def _exact(self, tried: np.ndarray) -> np.ndarray:
+        """The rows that the exact tier calls free, `most` of them at most."""
+        found, size = [tried[:0]], max(16, self.options.most)
+        for first in range(0, len(tried), size):
+            batch = tried[first : first + size]
+            found.append(batch[self.clearance.exactly_free(batch[:, :7])])
+            if sum(map(len, found)) >= self.options.most:
+                break
+        return np.concatenate(found)
 
-
-def _preferred(cell: Cell, viewpoint: Viewpoint, q: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Order of preference: the quickest from home at each azimuth in turn, singular ones last."""
-    seconds = (np.abs(q[:, :6] - cell.home[:6]) / cell.v_max[:6]).max(axis=1) + 10.0 * (sigma < SINGULAR)
-    order = np.argsort(seconds, kind="stable")
-    azimuth = q[order, 6]
-    if viewpoint.kind == "revolution":
-        X = scanner_in_object(cell, q[order])
-        azimuth = np.arctan2(X[:, 1, 3], X[:, 0, 3])
-    key = np.round(clean_angle(azimuth) / np.deg2rad(1.0)).astype(int)
-    rank = np.zeros(len(order), int)
-    seen: dict[int, int] = {}
-    for i, k in enumerate(key):
-        rank[i] = seen.get(int(k), 0)
-        seen[int(k)] = rank[i] + 1
-    return order[np.lexsort((np.arange(len(order)), rank))]
+    def _reach(self, viewpoint: Viewpoint, rows: np.ndarray, cause: Unreachable | None = None) -> Reach:
+        rows = rows[: self.options.most]
+        q = np.ascontiguousarray(rows[:, :7])
+        return Reach(
+            viewpoint=viewpoint, q=q, clearance=np.maximum(self.clearance.margins(q), 0.0),
+            manipulability=rows[:, 7].copy(), X_OS=scanner_in_object(self.cell, q), unreachable=cause,
+        )  # fmt: skip
 
 
 def reachable_mask(
@@ -200,7 +219,7 @@ def reachable_mask(
             break
         owner = np.concatenate([np.full(len(per_pose[i][first : first + 3]), i) for i in todo])
         angles = np.concatenate([per_pose[i][first : first + 3] for i in todo])
-        X_WS = cell.X_WT @ _turns(angles) @ cell.X_TO @ X_OS[owner]
+        X_WS = cell.X_WT @ turns_about_z(angles) @ cell.X_TO @ X_OS[owner]
         near = wrist_shortfall(cell, X_WS) <= 0
         solved = branches(cell, X_WS[near], windings=False)
         pose = np.flatnonzero(near)[solved.pose_index]
