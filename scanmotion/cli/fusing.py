@@ -21,11 +21,14 @@ def fuse(
         typer.Option("--poses", help='JSON: {"scans": {FILE: {"T_object_scan": 4 x 4}}}, file units.'),
     ] = None,
     voxel: Annotated[float, typer.Option("--voxel", help="Edge of the cloud's voxels [mm].")] = 2.0,
+    align: Annotated[bool, typer.Option(help="Register the scans to one another first.")] = True,
+    surface: Annotated[bool, typer.Option("--surface", help="Write a triangle mesh, not a cloud.")] = False,
     quiet: Quiet = False,
 ) -> int:
-    """Merge measured scans into one cloud.
+    """Merge measured scans into one cloud, or one surface trimmed to the data.
 
-    Scans without poses are taken to be in the table's frame already.
+    Scans without poses are taken to be in the table's frame already. A registration that cannot be trusted
+    leaves a scan where its pose puts it, and says so.
     """
     check_suffix("--out", out, ".ply")
     if not 0.05 <= voxel <= 100.0:
@@ -33,14 +36,16 @@ def fuse(
     files = scan_files(scans)
     known = read_poses(poses, files) if poses is not None else {}
     with progress_bar(quiet=quiet) as progress:
-        raw = raw_points(files, known, units, progress)
-        from scanmotion.scan.fuse import fuse_points
+        measured = measured_scans(files, known, units, progress)
+        from scanmotion.scan.files import fuse_measured
 
-        progress("fuse", 0.5)
-        cloud = fuse_points(raw, voxel=voxel * 1e-3)
-    write_cloud(out, cloud)
+        fused = fuse_measured(measured, voxel=voxel * 1e-3, registered=align, progress=progress)
+        made = write_surface(out, fused.cloud) if surface else write_cloud(out, fused.cloud)
     if not quiet:
-        typer.echo(f"{len(raw.points)} points of {len(files)} scans -> {len(cloud)} points")
+        for name, found in zip(fused.names[1:], fused.registrations[1:], strict=False):
+            moved = f", moved by {found.shift * 1e3:.2f} mm" if found.trusted else ""
+            typer.echo(f"{name}: {found.statement}{moved}")
+        typer.echo(f"{sum(len(s.points) for s in measured)} points of {len(files)} scans -> {made}")
         typer.echo(str(out))
     return OK
 
@@ -86,8 +91,8 @@ def read_poses(path: Path, files: list[Path]) -> dict[str, Any]:
     return records
 
 
-def raw_points(files: list[Path], poses: dict[str, Any], units: str, progress: Any) -> Any:
-    """All points in one frame, with where each scan was seen from.
+def measured_scans(files: list[Path], poses: dict[str, Any], units: str, progress: Any) -> list[Any]:
+    """The scans with their poses, in metres, and which way each looked.
 
     A pose file may give the viewing direction of a scan; without it the scan's own origin is the camera, and
     without a pose the side that the scan's normals, or its flat side, show.
@@ -95,27 +100,25 @@ def raw_points(files: list[Path], poses: dict[str, Any], units: str, progress: A
     import numpy as np
 
     from scanmotion.part import UNITS, part_from_file
-    from scanmotion.scan.fuse import RawPoints
+    from scanmotion.scan.files import MeasuredScan
 
-    points, cameras = [], []
+    scans = []
     for number, file in enumerate(files):
         progress("load", number / len(files))
         part = part_from_file(file, units=units)
-        record, X_FO = poses.get(file.name), np.linalg.inv(part.X_OI)  # pyright: ignore
+        X_FO = np.linalg.inv(part.X_OI)  # pyright: ignore
         p = (part.vertices @ X_FO[:3, :3].T + X_FO[:3, 3]) * UNITS[units]
-        camera = p.mean(axis=0) + _seen_from(part, p)
-        if record is not None:
-            X = record["T_object_scan"]
-            p = p @ X[:3, :3].T + X[:3, 3] * UNITS[units]
-            camera = X[:3, 3] * UNITS[units]
+        X, towards = np.eye(4), _seen_from(part, p)
+        if (record := poses.get(file.name)) is not None:
+            X = record["T_object_scan"].copy()
+            X[:3, 3] *= UNITS[units]
+            towards = -p.mean(axis=0)
             if "nominal_view_direction" in record:
-                camera = p.mean(axis=0) - np.array(record["nominal_view_direction"], dtype=float)
-        points.append(p)
-        cameras.append(camera)
-    frame = np.repeat(np.arange(len(points), dtype=np.int32), [len(p) for p in points])
-    joined = np.concatenate(points).astype(np.float32)
-    sigma = np.ones(len(joined), np.float32)
-    return RawPoints(points=joined, frame=frame, cameras=np.array(cameras), sigma=sigma)
+                towards = -X[:3, :3].T @ np.array(record["nominal_view_direction"], dtype=float)
+        length = float(np.linalg.norm(towards))
+        direction = towards / length if length > 1e-9 else None
+        scans.append(MeasuredScan(name=file.name, points=p, X=X, towards=direction))
+    return scans
 
 
 def _seen_from(part: Any, points: Any) -> Any:
@@ -130,8 +133,18 @@ def _seen_from(part: Any, points: Any) -> Any:
     return np.linalg.eigh(centred.T @ centred)[1][:, 0]
 
 
-def write_cloud(path: Path, cloud: Any) -> None:
-    """A cloud with normals as binary PLY in mm, whole or not at all."""
+def write_surface(path: Path, cloud: Any) -> str:
+    """The surface through a cloud as binary PLY in mm; says how much it is."""
+    from scanmotion.scan.files import write_ply
+    from scanmotion.scan.surface import surface
+
+    vertices, triangles = surface(cloud)
+    write_ply(path, vertices * 1e3, triangles=triangles)
+    return f"{len(triangles)} triangles"
+
+
+def write_cloud(path: Path, cloud: Any) -> str:
+    """A cloud with normals as binary PLY in mm, whole or not at all; says how much it is."""
     import numpy as np
 
     from scanmotion.cli.inputs import write_bytes
@@ -141,3 +154,4 @@ def write_cloud(path: Path, cloud: Any) -> None:
     head += [f"property float {name}" for name in names] + ["end_header\n"]
     rows = np.hstack([cloud.points * 1e3, cloud.normals]).astype("<f4")
     write_bytes(path, "\n".join(head).encode() + rows.tobytes())
+    return f"{len(cloud.points)} points"

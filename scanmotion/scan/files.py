@@ -175,7 +175,7 @@ def fuse_measured(
     scans: Sequence[MeasuredScan], *, voxel: float = 0.002, registered: bool = True, reach: float = 0.008,
     progress: Callable[[str, float], None] | None = None,
 ) -> Fused:  # fmt: skip
-    """Registers measured scans from their poses and merges them.
+    """Registers measured scans from their poses and merges them; an untrusted registration moves nothing.
 
     Args:
         scans: with poses; the first stays where its pose puts it.
@@ -195,7 +195,7 @@ def fuse_measured(
             tell("normals", (i + 1) / len(scans))
         tell("register", 0.0)
         found = align(single, start=np.stack([s.X for s in scans]), reach=reach)
-        scans = [replace(s, X=r.X) for s, r in zip(scans, found, strict=True)]
+        scans = [replace(s, X=r.X) if r.trusted else s for s, r in zip(scans, found, strict=True)]
     tell("fuse", 0.0)
     cloud = fuse_points(_raw(scans), voxel=voxel)
     tell("fuse", 1.0)
