@@ -21,16 +21,22 @@ WEAK = 1.0
 """Radius of an empty disc that joins two larger ones: a gap may be narrower in places."""
 LEAST = 1.15
 """Radius of an empty disc that counts, in pitches; even samples leave 0.7 to 1.1, random ones 1.5."""
-FOLDED = 0.42
-"""Thickness of a neighbourhood, in pitches, over which it has no tangent plane; a right angle has 0.45."""
-MISSING = 20.0
-"""Samples missing in a hole that is worth a viewpoint; more where the sampling is random."""
+EVEN, RANDOM = 1.05, 2.3
+"""90th percentile of the largest empty discs up to which samples are even; both radii grow so beyond it."""
+FOLDED, BENT = 0.42, 0.6
+"""Thickness of a neighbourhood, in pitches, from which it may have no tangent plane (a right angle has 0.45),
+and from which it surely has none."""
 TINY = 8.0
 """Samples missing in a gap that is worth a word."""
 OPEN = 1.43
-"""Median radius of the empty discs at a rim, in pitches: patches thinned by half reach 1.37."""
-CORE = 28.0
-"""Samples missing at the wide discs of a frayed rim."""
+"""Radius of a wide empty disc, in pitches: half of those at a patch thinned by half are under 1.37."""
+CORE = 20.0
+"""Samples missing at the wide discs of a hole that is worth a viewpoint; more where sampling is random."""
+THIN, DOUBT, SURE = 1.06, 25.0, 0.03
+"""Pitch at a rim against that around it from which the patch may only be thinner; the further samples that
+must then be missing; and the range of the pitch over which they are asked for."""
+AROUND = 20.0
+"""Pitches around a rim that tell the usual pitch there."""
 HALF = 0.5
 """Share of a rim that must look at another part of it; half as much where the rim is an open edge."""
 ROUND = 0.6
@@ -47,6 +53,8 @@ class Rim:
     """Unit vectors into the empty region, shape (m, 3)."""
     missing: float
     """Samples that are missing."""
+    plain: bool = True
+    """Whether enough are missing for a viewpoint."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -62,8 +70,8 @@ class Sampling:
     """Smoothed pitch: mean over the neighbours of their neighbours' medians, shape (n,) [m]."""
     normals: np.ndarray
     """Plane fits, of either sign, shape (n, 3)."""
-    flat: np.ndarray
-    """Whether the neighbourhood has a tangent plane, shape (n,)."""
+    fold: np.ndarray
+    """Thickness of the neighbourhood, in pitches, less in noisy clouds; folded over FOLDED, shape (n,)."""
 
     @property
     def points(self) -> np.ndarray:
@@ -81,55 +89,69 @@ def sampling_of(points: np.ndarray) -> Sampling:
     fits = plane_fits(points, nearest[:, :FIT])
     unit = np.where(unit > 0, unit, np.median(unit[unit > 0]) if (unit > 0).any() else 1.0)
     thickness = fits.thickness / unit
-    limit = max(FOLDED, 2.5 * float(np.median(thickness)))
+    noisy = max(1.0, 2.5 * float(np.median(thickness)) / FOLDED)
     return Sampling(
         tree=tree,
         nearest=nearest,
         pitch=pitch,
         unit=unit,
         normals=fits.normals,
-        flat=thickness < limit,
+        fold=thickness / noisy,
     )
 
 
-def rims_of(sampling: Sampling, *, missing: float = MISSING) -> tuple[list[Rim], list[Rim]]:
+def rims_of(sampling: Sampling) -> tuple[list[Rim], list[Rim]]:
     """Rims of the holes, and of gaps that are too small to be planned for."""
     radii = cell_radii(sampling.tree, sampling.normals, sampling.nearest[:, 1:], sampling.unit)
     usual = float(np.percentile(radii, 90))
-    least, weak = max(LEAST, 1.08 * usual), max(WEAK, 1.05 * usual)
-    missing = missing * (least / LEAST) ** 2
-    suspects = np.flatnonzero((radii > weak) & sampling.flat)
+    random = RANDOM * max(usual - EVEN, 0.0)
+    suspects = np.flatnonzero((radii > WEAK + random) & (sampling.fold < BENT))
     if not len(suspects):
         return [], []
-    found = rim_set(sampling.tree, sampling.normals, suspects, sampling.unit, least=least, weak=weak)
+    least = max(LEAST, WEAK + random)
+    found = rim_set(sampling.tree, sampling.normals, suspects, sampling.unit, least=least, weak=WEAK + random)
     order = np.argsort(found.label, kind="stable")
     groups = np.split(order, np.cumsum(np.bincount(found.label))[:-1])
-    rims = [_open_rim(sampling, found, g, least) for g in groups if found.missing[found.label[g[0]]] > TINY]
+    rims = [_open_rim(sampling, found, g, usual) for g in groups if found.missing[found.label[g[0]]] > TINY]
     whole = [r for r in rims if r is not None and (_facing(sampling, r) > HALF / 2 or _closed(sampling, r))]
     rims = [r for r in _joined(sampling, whole) if _closed(sampling, r)]
-    return [r for r in rims if r.missing >= missing], [r for r in rims if r.missing < missing]
+    return [r for r in rims if r.plain], [r for r in rims if not r.plain]
 
 
-def _open_rim(sampling: Sampling, found: RimSet, group: np.ndarray, least: float) -> Rim | None:
+def _open_rim(sampling: Sampling, found: RimSet, group: np.ndarray, usual: float) -> Rim | None:
     """The rim of a region whose discs are wide, without the narrow gaps that happen to join it.
 
-    A patch that is only thinner has narrow gaps throughout: half of its rim's discs are under OPEN. Where a
-    cloud gets sparse towards a hole, such gaps fray its rim: what is left near the wide discs must then miss
-    enough samples by itself.
+    A patch that is only thinner has narrow gaps throughout, and its pitch is wider than that around it: what
+    is missing near its wide discs must then be more. Where a cloud gets sparse towards a hole, narrow gaps
+    fray its rim and are left out. A rim of which most is folded is the crease between two sheets.
     """
+    index = found.points[group]
+    if (sampling.fold[index] > FOLDED).mean() > HALF:
+        return None
     missing = float(found.missing[found.label[group[0]]])
-    wide = found.reach[group] > max(OPEN, 1.12 * least)
+    wide = found.reach[group] > max(OPEN, 1.21 * usual)
+    core = float(found.excess[group][wide].sum())
+    needed = CORE * max(1.0, 1.08 * usual / LEAST) ** 2
+    over = _sparseness(sampling, index) - THIN - 0.4 * max(usual - EVEN, 0.0)
+    needed += DOUBT * float(np.clip(over / SURE, 0.0, 1.0))
     if wide.mean() < 0.5:
-        if not wide.any():
+        if core < needed:
             return None
-        points = sampling.points[found.points[group]]
-        unit = float(np.median(sampling.unit[found.points[group]]))
-        near = cKDTree(points[wide]).query(points)[0] < 1.5 * unit
+        points = sampling.points[index]
+        near = cKDTree(points[wide]).query(points)[0] < 1.5 * float(np.median(sampling.unit[index]))
         missing = float(found.excess[group][near].sum())
-        if found.excess[group][wide].sum() < CORE:
-            return None
         group = group[near]
-    return Rim(points=found.points[group], opening=found.opening[group], missing=missing)
+    return Rim(
+        points=found.points[group], opening=found.opening[group], missing=missing, plain=core >= needed
+    )
+
+
+def _sparseness(sampling: Sampling, index: np.ndarray) -> float:
+    """Pitch at some points against the lower quartile of that within AROUND pitches of them."""
+    unit = float(np.median(sampling.unit[index]))
+    some = sampling.points[index[:: max(1, len(index) // 20)]]
+    around = np.unique(np.concatenate(sampling.tree.query_ball_point(some, AROUND * unit)))
+    return unit / float(np.percentile(sampling.unit[around.astype(int)], 25))
 
 
 def _closed(sampling: Sampling, rim: Rim) -> bool:
@@ -163,7 +185,7 @@ def _joined(sampling: Sampling, rims: list[Rim]) -> list[Rim]:
             if np.isinf(gap[k]):
                 continue
             middle = 0.5 * (points[rims[j].points[k]] + points[one.points[at[k]]])
-            if (~sampling.flat[sampling.tree.query_ball_point(middle, 1.5 * unit)]).any():
+            if (sampling.fold[sampling.tree.query_ball_point(middle, 1.5 * unit)] > FOLDED).any():
                 parent[parent == parent[j]] = parent[i]
     return [
         _merged([r for r, p in zip(rims, parent, strict=True) if p == root]) for root in np.unique(parent)
@@ -179,4 +201,5 @@ def _merged(rims: list[Rim]) -> Rim:
         points=points[order],
         opening=np.concatenate([r.opening for r in rims])[order],
         missing=sum(r.missing for r in rims),
+        plain=any(r.plain for r in rims),
     )
