@@ -98,10 +98,18 @@ def test_viewpoints_of_the_papers_worked_example():
 
 
 def test_viewpoints_are_written_and_read_back(tmp_path):
+    from scanmotion.export.viewpoints import read_viewpoints
+
+    said = json.loads(run("viewpoints", "--box", 330, 200, 600, "--json").stdout)["viewpoints"]
     for name in ("views.csv", "views.json"):
         out = tmp_path / name
         assert run("viewpoints", "--box", 330, 200, 600, "--out", out).exit_code == 0
-        assert out.stat().st_size > 100
+        found = read_viewpoints(out)
+        assert [v.id for v in found] == [v["id"] for v in said]
+        for a, b in zip(found, said, strict=True):
+            np.testing.assert_allclose(a.X_OS, b["X_OS"], atol=1e-10)
+            assert (a.step, a.kind, a.sweep) == (b["step"], b["kind"], b["sweep"])
+            assert a.standoff == pytest.approx(b["standoff_m"])
 
 
 def test_holes_of_a_sheet_with_a_square_cut_out(tmp_path, rng, monkeypatch):

@@ -76,7 +76,8 @@ def spline_knots(
             room = np.flatnonzero((t[a:b] - t[a] >= shortest) & (t[b] - t[a:b] >= shortest)) + a
             if away[a:b].max() > tolerance and len(room):
                 # In the middle of the room rather than at the worst sample: knots stay evenly apart.
-                fresh.append(room[len(room) // 2])
-        if not fresh or len(knots) + len(fresh) > most:
+                fresh.append((away[a:b].max(), room[len(room) // 2]))
+        fresh = sorted(fresh, reverse=True)[: max(most - len(knots), 0)]
+        if not fresh:
             return knots, float(away.max())
-        knots = np.unique([*knots, *fresh])
+        knots = np.unique([*knots, *(k for _, k in fresh)])

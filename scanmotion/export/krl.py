@@ -20,6 +20,8 @@ LINES_A_FILE = 1400
 """Longer programmes are split into pages of at most this many lines."""
 LONGEST_NAME = 20
 """KRL allows 24 characters; "_001" of a page needs four of them."""
+KUKA_AXES = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [-1, 0, 0]])
+"""About which axes of the base the joints turn where all are zero."""
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ODD = re.compile(r"[^A-Za-z0-9 ._()-]")
 RESERVED = frozenset(
@@ -90,9 +92,9 @@ class Manner:
 CLASSIC = Manner(
     block=classic_block,
     says=(
-        "PTP and LIN: the path of the plan without its times; slower than the plan, never faster",
-        "by more than the step of 1 percent. The joints keep within {away} deg of the planned path,",
-        "and within {cut} deg more where C_PTP rounds a corner.",
+        "PTP and LIN: the path of the plan without its times. Between two points neither a joint nor",
+        "the scanner is faster than the plan at its fastest there, but for the least speed of 1 percent.",
+        "The joints keep within {away} deg of the planned path, {cut} deg more where C_PTP rounds a corner.",
         "Percentages are of these greatest speeds [deg/s], A1..A6, E1:",
         "{speeds}",
         "If the machine data say otherwise, the speeds differ in proportion.",
@@ -124,6 +126,11 @@ def _files(source: Source, name: str, manner: Manner) -> dict[str, bytes | str]:
     arm = arm_from_urdf(
         read_text(source.folder, record.urdf_file, limit=8 << 20), record.robot_joints, record.flange_link
     )
+    if np.abs(arm.axes_at_zero() - KUKA_AXES).max() > 1e-3:
+        raise InputError(
+            f"the joints of {remark(record.robot, 'robot')} do not turn as a KUKA arm's do (along x at "
+            "zero, A1 about -z, A2, A3, A5 about y, A4, A6 about -x), so KRL cannot carry them"
+        )
     fastest = np.append(arm.velocity, record.limits.velocity_rad_s[6])
     if not (np.isfinite(fastest) & (fastest > 0)).all():
         raise InputError("the robot's greatest speeds are not positive numbers")

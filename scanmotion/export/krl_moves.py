@@ -1,6 +1,7 @@
 """The moves of one operation in KRL: as PTP and LIN, or as a timed spline."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,9 +19,9 @@ CUT_DEG = 0.2
 """Corners that C_PTP would cut by more than this are passed exactly [deg]."""
 LIN_M, LIN_RAD = 0.2e-3, np.deg2rad(0.05)
 """How far the scanner may be from the planned path between two LIN points."""
-SPLINE_DEG = 0.01
+SPLINE_DEG = 0.002
 """How far a cubic spline through the timed points may be from the planned joints [deg]."""
-SPLINE_LONGEST_S, SPLINE_SHORTEST_S = 0.25, 0.04
+SPLINE_LONGEST_S, SPLINE_SHORTEST_S = 0.25, 0.03
 """Greatest and least time between two points of a timed spline [s]."""
 _NAMES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 _MOST = 1e5
@@ -86,10 +87,9 @@ def classic_block(stretch: Stretch, arm: Arm, X_FS: np.ndarray, fastest: np.ndar
     q = np.rad2deg(stretch.q)
     knots, away = polyline_knots(q, PTP_DEG, most=MOST_POINTS)
     lines, points, last, rounded = [], q[knots], 0, 0.0
+    percents = _percents(stretch, knots, arm, X_FS, fastest)
     for i in range(1, len(knots)):
-        span = slice(knots[i - 1], knots[i] + 1)
-        peak = float((np.abs(stretch.qd[span]) / fastest).max())
-        percent = int(np.clip(np.floor(100 * peak + 1e-6), 1, 100))
+        percent = percents[i - 1]
         if percent != last:
             lines.append(f"BAS (#VEL_PTP,{percent} )")
             last = percent
@@ -100,6 +100,27 @@ def classic_block(stretch: Stretch, arm: Arm, X_FS: np.ndarray, fastest: np.ndar
                 suffix, rounded = " C_PTP", max(rounded, cut)
         lines.append(f"PTP {axes(points[i])}{suffix}")
     return Block(lines=tuple(lines), away=away, cut=rounded)
+
+
+def _percents(
+    stretch: Stretch, knots: np.ndarray, arm: Arm, X_FS: np.ndarray, fastest: np.ndarray
+) -> list[int]:
+    """Speed of each PTP: neither a joint nor the scanner is faster than the plan between the same points."""
+    p_BS = (arm.X_BF(stretch.q) @ X_FS)[:, :3, 3]
+    planned = np.linalg.norm(np.gradient(p_BS, stretch.t, axis=0), axis=1)
+    share = np.linspace(0, 1, 9)[:, None]
+    found = []
+    for a, b in pairwise(knots):
+        step = stretch.q[b] - stretch.q[a]
+        peak = float((np.abs(stretch.qd[a : b + 1]) / fastest).max())
+        # What the scanner would do at 100 percent, where the joint that needs longest sets the pace.
+        seconds = float((np.abs(step) / fastest).max())
+        dense = (arm.X_BF(stretch.q[a] + share * step) @ X_FS)[:, :3, 3]
+        full = float(np.linalg.norm(np.diff(dense, axis=0), axis=1).max()) * (len(share) - 1) / seconds
+        if full > 1e-6:
+            peak = min(peak, float(planned[a : b + 1].max()) / full)
+        found.append(int(np.clip(np.floor(100 * peak + 1e-6), 1, 100)))
+    return found
 
 
 def _sweep(stretch: Stretch, arm: Arm, X_FS: np.ndarray) -> Block:

@@ -29,6 +29,15 @@ class Arm:
                 X, joint = X @ _turns(axis, q[:, joint]), joint + 1
         return X
 
+    def axes_at_zero(self) -> np.ndarray:
+        """Axes of the joints in the base where every joint is zero, shape (6, 3)."""
+        R, found = np.eye(3), []
+        for origin, axis in zip(self.origins, self.axes, strict=True):
+            R = R @ origin[:3, :3]
+            if axis is not None:
+                found.append(R @ axis)
+        return np.array(found)
+
 
 def arm_from_urdf(text: str, joints: tuple[str, ...], flange: str) -> Arm:
     """The chain of a URDF from its root to a flange link.

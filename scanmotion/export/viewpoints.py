@@ -208,8 +208,6 @@ def _checked(path: Path, where: str, entry: Any) -> Viewpoint:
         checked_id(record.id)
         checked_line(record.sweep, "sweep")
         checked_line(record.note, "note")
-        if not 0 < record.standoff_m <= 100:
-            raise InputError("the stand-off is not between 0 and 100 m")
     except (ValidationError, RecursionError) as error:
         text = "is nested too deeply"
         if isinstance(error, ValidationError):
