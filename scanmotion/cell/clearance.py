@@ -138,11 +138,41 @@ class Clearance:
         Distances between links count beyond their smaller clearance, so that the least is the worst.
         """
         q = np.asarray(q, dtype=float)
-        nearest = self.cell.drake.nearest(q)
+        nearest, pair = self.cell.drake.nearest(q)
+        nearest = nearest, self._named(q, pair)
         if self._part is None:
             return nearest
         d, name = self._part_distance(q)
         return (d, (name, self.cell.part.name if self.cell.part else "part")) if d < nearest[0] else nearest
+
+    def _named(self, q: np.ndarray, pair: tuple[str, str]) -> tuple[str, str]:
+        """The pair with the nearest solids of tool, table and surroundings in place of the whole."""
+        import fcl
+
+        groups = [self.cell.drake.groups.get(name, -1) for name in pair]
+        if max(groups) < TOOL or min(groups) < 0:
+            return pair
+        links = link_poses(self.cell, q)[0]
+        frames = [*links, links[6] @ self.cell.robot.X_6F, self.cell.X_WT, np.eye(4)]
+        sides = []
+        for group in groups:
+            sides.append([])
+            for body in self.cell.bodies:
+                if body.link == group and not (min(groups) <= 1 and body.name == "floor"):
+                    X = frames[group] @ body.X_LG
+                    shape = fcl.Box(*body.size) if body.shape == "box" else fcl.Cylinder(*body.size[:2])
+                    solid = fcl.CollisionObject(shape, fcl.Transform(X[:3, :3], X[:3, 3]))
+                    sides[-1].append((body.name, solid))
+        best, names = np.inf, pair
+        for a, first in sides[0]:
+            for b, other in sides[1]:
+                d = -1.0
+                if not fcl.collide(first, other, fcl.CollisionRequest(), fcl.CollisionResult()):
+                    d = fcl.distance(first, other, fcl.DistanceRequest(), fcl.DistanceResult())
+                if d < best:
+                    best, names = d, (a, b)
+        a, b = (n if g >= TOOL else p for n, g, p in zip(names, groups, pair, strict=True))
+        return a, b
 
     @cached_property
     def _part(self) -> Any:

@@ -135,12 +135,25 @@ class DrakeCell:
         )
         self.plant = self.checker.plant()
         self._order = self._joint_order(cell)
+        self.groups = self._groups(cell)
         self._filter(cell)
 
     def _joint_order(self, cell: "Cell") -> np.ndarray:
         """Index of each of A1..A6, E1 in the plant's position vector."""
         names = [*cell.settings.robot.joints, "E1"]
         return np.array([self.plant.GetJointByName(n).position_start() for n in names])
+
+    def _groups(self, cell: "Cell") -> dict[str, int]:
+        """Value of Body.link for the name of each of the plant's bodies."""
+        from scanmotion.cell.plant import TABLE, TOOL, WORLD
+
+        joints = [self.plant.GetJointByName(n) for n in cell.settings.robot.joints]
+        links = [joints[0].parent_body(), *(j.child_body() for j in joints)]
+        return {b.name(): n for n, b in enumerate(links)} | {
+            "tool": TOOL,
+            "stand": TABLE,
+            "surroundings": WORLD,
+        }
 
     def _filter(self, cell: "Cell") -> None:
         """Links that touch by construction are not judged against one another."""
