@@ -4,6 +4,7 @@ import csv
 import hashlib
 import json
 import os
+import re
 import shutil
 from itertools import pairwise
 from pathlib import Path
@@ -23,7 +24,7 @@ from scanmotion.cell.config import load_cell
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.plant import build_cell
 from scanmotion.cli import app
-from scanmotion.errors import InputError, PlanFileError
+from scanmotion.errors import InputError, PlanFileError, ScanMotionError
 from scanmotion.export import FORMATS, export_plan
 from scanmotion.export.knots import polyline_knots, spline_knots
 from scanmotion.export.krl_moves import number
@@ -482,3 +483,48 @@ def test_the_page_names_every_column_and_topic():
     for name in csv_file.HEADER:
         ends = {name, name.replace("A1", "E1")} if name[0] in "AE" else {name}
         assert any(f"`{x}`" in text for x in ends) or name[:2] in ("A2", "A3", "A4", "A5", "A6"), name
+
+
+WORDS = ("nan", "inf", "1e308", "-1", "", "x", "\n", "null", "[]", '"a"', ",", "A1", "\u2028", "=", "999999")
+
+
+def mutated(text, rng):
+    """A number or a stretch of the text replaced by a word."""
+    for _ in range(rng.integers(1, 4)):
+        i = int(rng.integers(len(text)))
+        word = WORDS[rng.integers(len(WORDS))]
+        found = re.compile(r"-?\d+(\.\d*)?(e-?\d+)?").search(text, i) if rng.random() < 0.7 else None
+        a, b = found.span() if found else (i, i + int(rng.integers(0, 40)))
+        text = text[:a] + word + text[b:]
+    return text
+
+
+def test_mutated_plans_are_exported_or_refused_in_one_line(own, tmp_path, rng):
+    rows = (own / "trajectory.csv").read_text().splitlines()
+    (own / "trajectory.csv").write_text("\n".join([rows[0], *rows[1::100], rows[-1]]) + "\n")
+    whole = {name: (own / name).read_text() for name in ("trajectory.csv", "plan.json", "robot.urdf")}
+    refused = 0
+    for n in range(280):
+        name = list(whole)[n % 3]
+        (own / name).write_text(mutated(whole[name], rng))
+        try:
+            export_plan(own, FORMATS[n % 7], out=tmp_path / "out")
+        except ScanMotionError as error:
+            assert "\n" not in str(error)
+            refused += 1
+        (own / name).write_text(whole[name])
+    assert 50 < refused < 280
+
+
+@pytest.mark.parametrize("ending", [".csv", ".json"])
+def test_mutated_viewpoints_are_read_or_refused_in_one_line(ending, tmp_path, rng):
+    file = write_viewpoints([one_view(), one_view(id="V2", sweep="S")], tmp_path / f"v{ending}")
+    text, refused = file.read_text(), 0
+    for _ in range(500):
+        file.write_text(mutated(text, rng))
+        try:
+            assert all(np.isfinite(v.X_OS).all() for v in read_viewpoints(file))
+        except InputError as error:
+            assert "\n" not in str(error)
+            refused += 1
+    assert 50 < refused < 500

@@ -173,7 +173,7 @@ def _entry(cell: dict[str, str]) -> dict[str, Any]:
     if cell["slack_roll"] not in ("0", "1"):
         raise ValueError(f"slack_roll is 0 or 1, not {cell['slack_roll'][:20]!r}")
     q = np.array([number[key] for key in ("qw", "qx", "qy", "qz")])
-    if abs(np.linalg.norm(q) - 1) > 1e-3:
+    if np.abs(q).max() > 2 or abs(np.linalg.norm(q) - 1) > 1e-3:
         raise ValueError("qw, qx, qy, qz is not a unit quaternion")
     X = np.eye(4)
     X[:3, :3] = rotation(q / np.linalg.norm(q))
