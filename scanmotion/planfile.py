@@ -1,7 +1,6 @@
 """The plan folder on disk: strict schemas, written as a whole or not at all, read without trust."""
 
-import csv
-import io
+import ctypes
 import json
 import math
 import os
@@ -22,9 +21,17 @@ VERSION = 1
 CSV_HEADER = "t_s,A1_deg,A2_deg,A3_deg,A4_deg,A5_deg,A6_deg,E1_deg,operation,kind"
 MAX_SAMPLES = 2_000_000
 _MAX_JSON = 256 << 20
+_MOST = 1e6
+"""No time [s] and no angle [deg] of a robot is beyond; what is would overflow in differences."""
+_ROW = re.compile(r"[-+.,0-9eE]*,[a-z]+")
+_AT_FDCWD, _EXCHANGE = -100, 2
+"""Linux: paths relative to the working directory; renameat2's RENAME_EXCHANGE."""
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 Vector7 = Annotated[tuple[float, ...], Field(min_length=7, max_length=7)]
+Bounds7 = Annotated[
+    tuple[Annotated[float, Field(gt=0)], ...], Field(min_length=7, max_length=7)
+]  # fmt: skip
 Pose = Annotated[tuple[tuple[float, ...], ...], Field(min_length=4, max_length=4)]
 
 
@@ -34,9 +41,11 @@ class _Record(BaseModel):
 
 def _rigid(X: Any) -> Any:
     M = np.array(X, dtype=float)
-    if M.shape != (4, 4) or np.abs(M[:3, :3] @ M[:3, :3].T - np.eye(3)).max() > 1e-6:
+    if M.shape != (4, 4) or not np.abs(M).max() <= 1e3:
         raise ValueError("is not a rigid (4, 4) pose")
-    if np.linalg.det(M[:3, :3]) < 0 or np.abs(M[3] - [0, 0, 0, 1]).max() > 1e-9 or np.abs(M).max() > 1e3:
+    if np.abs(M[:3, :3] @ M[:3, :3].T - np.eye(3)).max() > 1e-6:
+        raise ValueError("is not a rigid (4, 4) pose")
+    if np.linalg.det(M[:3, :3]) < 0 or np.abs(M[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise ValueError("is not a rigid (4, 4) pose")
     return X
 
@@ -46,12 +55,12 @@ class ViewpointRecord(_Record):
 
     id: str = Field(max_length=100)
     X_OS: Pose
-    standoff_m: float
+    standoff_m: float = Field(gt=0, le=100)
     step: Literal["global", "local"]
     kind: Literal["revolution", "station"]
     sweep: str = Field("", max_length=100)
-    slack_standoff_m: tuple[float, float] = (0.0, 0.0)
-    slack_tilt_rad: float = 0.0
+    slack_standoff_m: tuple[Annotated[float, Field(le=0)], Annotated[float, Field(ge=0)]] = (0.0, 0.0)
+    slack_tilt_rad: float = Field(0.0, ge=0, le=math.pi)
     slack_roll: bool = False
     note: str = Field("", max_length=1000)
 
@@ -87,9 +96,9 @@ class LimitsRecord(_Record):
 
     position_min_rad: tuple[float | None, ...] = Field(min_length=7, max_length=7)
     position_max_rad: tuple[float | None, ...] = Field(min_length=7, max_length=7)
-    velocity_rad_s: Vector7
-    acceleration_rad_s2: Vector7
-    jerk_rad_s3: Vector7
+    velocity_rad_s: Bounds7
+    acceleration_rad_s2: Bounds7
+    jerk_rad_s3: Bounds7
 
 
 class ProcessRecord(_Record):
@@ -145,29 +154,31 @@ class PlanRecord(_Record):
 def atomic_folder(target: str | Path, files: Mapping[str, bytes | str]) -> Path:
     """Writes a folder of files so that a killed run leaves the old folder or the new one, never a mixture.
 
+    Args:
+        target: a new folder, an empty one, or a plan's folder, which is replaced.
+        files: contents by plain file name.
+
     Raises:
-        PlanFileError: the folder cannot be written.
+        PlanFileError: the folder cannot be written, or holds what is not a plan.
     """
-    target = Path(target).absolute()
+    target = Path(os.path.realpath(target))
+    for name in files:
+        if not _PLAIN_NAME.fullmatch(name):
+            raise PlanFileError(f"{name!r} is not a plain file name")
     try:
+        if target.exists() and not (target.is_dir() and _replaceable(target)):
+            raise PlanFileError(f"{target}: holds something that is not a plan; it is left as it is")
         target.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
     except OSError as error:
         raise PlanFileError(f"{target}: cannot be written ({error.strerror})") from None
     try:
-        fresh, old = work / "new", work / "old"
+        fresh = work / "new"
         fresh.mkdir()
         for name, content in files.items():
             data = content.encode("utf-8") if isinstance(content, str) else content
             (fresh / name).write_bytes(data)
-        if target.exists():
-            os.replace(target, old)
-        try:
-            os.replace(fresh, target)
-        except OSError:
-            if old.exists():
-                os.replace(old, target)
-            raise
+        _take_place(fresh, target, work / "old")
     except OSError as error:
         raise PlanFileError(f"{target}: cannot be written ({error.strerror})") from None
     finally:
@@ -175,8 +186,37 @@ def atomic_folder(target: str | Path, files: Mapping[str, bytes | str]) -> Path:
     return target
 
 
+def _replaceable(folder: Path) -> bool:
+    return (folder / "plan.json").is_file() or not any(folder.iterdir())
+
+
+def _take_place(fresh: Path, target: Path, old: Path) -> None:
+    """Puts `fresh` where `target` is, in one step where the system has one."""
+    if not target.exists():
+        os.replace(fresh, target)
+        return
+    if _exchanged(fresh, target):
+        return
+    # Two steps elsewhere: in between, the old folder lies beside the target under its temporary name.
+    os.replace(target, old)
+    try:
+        os.replace(fresh, target)
+    except OSError:
+        os.replace(old, target)
+        raise
+
+
+def _exchanged(a: Path, b: Path) -> bool:
+    """Whether the two folders have changed places by Linux's renameat2."""
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError):
+        return False
+    return rename(_AT_FDCWD, os.fsencode(a), _AT_FDCWD, os.fsencode(b), _EXCHANGE) == 0
+
+
 def json_text(record: BaseModel | Mapping[str, Any]) -> str:
-    """JSON with sorted, stable layout."""
+    """JSON, one value a line, keys in the schema's order."""
     data = record.model_dump(mode="json") if isinstance(record, BaseModel) else dict(record)
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
 
@@ -209,22 +249,38 @@ def trajectory_json(trajectory: Trajectory, joint_names: tuple[str, ...]) -> str
     )
 
 
-def read_text(folder: Path, name: str, *, limit: int = _MAX_JSON) -> str:
-    """A file of the folder as text; links that lead elsewhere are refused.
+def inside(folder: Path, name: str) -> Path:
+    """The path of a plain file of the folder; links that lead elsewhere are refused.
 
     Raises:
-        PlanFileError: missing, too large, not text.
+        PlanFileError: missing, not a plain file, or outside.
     """
     path = folder / name
     try:
         if path.resolve().parent != folder.resolve():
             raise PlanFileError(f"{name}: leads out of the plan's folder")
+        if not path.exists():
+            raise PlanFileError(f"{folder}: {name} is missing; is this a plan's folder?")
+        if not path.is_file():
+            raise PlanFileError(f"{name}: is not a file")
+    except (OSError, RuntimeError, ValueError) as error:
+        # Links in a circle are a RuntimeError before Python 3.13.
+        raise PlanFileError(f"{name}: cannot be read ({str(error)[:80]})") from None
+    return path
+
+
+def read_text(folder: Path, name: str, *, limit: int = _MAX_JSON) -> str:
+    """A file of the folder as text.
+
+    Raises:
+        PlanFileError: missing, outside, too large, not text.
+    """
+    path = inside(folder, name)
+    try:
         if path.stat().st_size > limit:
             raise PlanFileError(f"{name}: more than {limit >> 20} MiB is not a plan's file")
         return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise PlanFileError(f"{folder}: {name} is missing; is this a plan's folder?") from None
-    except (UnicodeDecodeError, ValueError):
+    except UnicodeDecodeError:
         raise PlanFileError(f"{name}: is not text") from None
     except OSError as error:
         raise PlanFileError(f"{name}: cannot be read ({error.strerror})") from None
@@ -259,10 +315,12 @@ def read_plan(folder: str | Path) -> PlanRecord:
     data = read_json(folder, "plan.json")
     if not isinstance(data, dict):
         raise PlanFileError("plan.json: an object is expected")
-    if data.get("version") != VERSION:
-        raise PlanFileError(f"plan.json: version {data.get('version')!r}; this software reads {VERSION}")
+    version = data.get("version")
+    if version != VERSION or not isinstance(version, int) or isinstance(version, bool):
+        raise PlanFileError(f"plan.json: version {str(version)[:40]!r}; this software reads {VERSION}")
     try:
-        return PlanRecord.model_validate(data)
+        # As JSON and strictly, so that neither "1.5" nor true is a number.
+        return PlanRecord.model_validate_json(json.dumps(data), strict=True)
     except (ValidationError, RecursionError) as error:
         text = str(error)
         if isinstance(error, ValidationError):
@@ -277,33 +335,24 @@ def read_trajectory(folder: str | Path, record: PlanRecord) -> Trajectory:
     Raises:
         PlanFileError: another header, cut short, not finite, out of order.
     """
-    text = read_text(Path(folder), "trajectory.csv")
-    rows = csv.reader(io.StringIO(text))
-    header = next(rows, [])
-    if ",".join(header) != CSV_HEADER:
+    lines = read_text(Path(folder), "trajectory.csv").splitlines()
+    if not lines or lines[0] != CSV_HEADER:
         raise PlanFileError(f"trajectory.csv: the header is not {CSV_HEADER}")
+    if len(lines) > MAX_SAMPLES:
+        raise PlanFileError(f"trajectory.csv: more than {MAX_SAMPLES} samples")
+    kinds = [o.kind for o in record.operations]
     table, operation = [], []
-    for n, row in enumerate(rows, 2):
-        if len(row) != 10:
-            raise PlanFileError(f"trajectory.csv: line {n} has {len(row)} fields instead of 10")
-        try:
-            numbers = [float(x) for x in row[:8]]
-            index = int(row[8])
-        except ValueError:
-            raise PlanFileError(f"trajectory.csv: line {n} is not numbers") from None
-        if not all(map(math.isfinite, numbers)):
-            raise PlanFileError(f"trajectory.csv: line {n} is not finite")
-        if not 0 <= index < len(record.operations) or record.operations[index].kind != row[9]:
-            raise PlanFileError(
-                f"trajectory.csv: line {n}: operation {row[8]} {row[9]!r} is not in plan.json"
-            )
+    for n, line in enumerate(lines[1:], 2):
+        numbers, index = _row(line, n, kinds)
         table.append(numbers)
         operation.append(index)
-        if n > MAX_SAMPLES:
-            raise PlanFileError(f"trajectory.csv: more than {MAX_SAMPLES} samples")
     if len(table) < 2:
         raise PlanFileError("trajectory.csv: fewer than two samples")
     values = np.array(table)
+    # Written so that NaN, too, is refused.
+    wrong = np.flatnonzero(~(np.abs(values) <= _MOST).all(axis=1))
+    if len(wrong):
+        raise PlanFileError(f"trajectory.csv: line {wrong[0] + 2} is beyond what a robot does")
     t, q = values[:, 0], np.deg2rad(values[:, 1:])
     if t[0] != 0 or (np.diff(t) <= 0).any():
         raise PlanFileError("trajectory.csv: times do not increase from 0")
@@ -318,3 +367,21 @@ def read_trajectory(folder: str | Path, record: PlanRecord) -> Trajectory:
     return Trajectory(
         t=t, q=q, qd=qd, qdd=np.gradient(qd, t, axis=0), operation=np.array(operation), operations=operations
     )
+
+
+def _row(line: str, n: int, kinds: list[str]) -> tuple[list[float], int]:
+    """The eight numbers and the operation of line n."""
+    fields = line.split(",")
+    if len(fields) != 10:
+        raise PlanFileError(f"trajectory.csv: line {n} has {len(fields)} fields instead of 10")
+    try:
+        if not _ROW.fullmatch(line):
+            # Python would read 1_0, other scripts' digits, nan and blanks too; other readers would not.
+            raise ValueError
+        numbers, index = [float(x) for x in fields[:8]], int(fields[8])
+    except ValueError:
+        raise PlanFileError(f"trajectory.csv: line {n} is not numbers and a kind") from None
+    if not 0 <= index < len(kinds) or kinds[index] != fields[9]:
+        text = f"operation {fields[8][:20]} {fields[9][:20]!r} is not in plan.json"
+        raise PlanFileError(f"trajectory.csv: line {n}: {text}")
+    return numbers, index

@@ -207,7 +207,7 @@ def test_blocks_are_cut_where_the_last_one_ends(hand, monkeypatch, rng):
     assert len(parts) > 3
     for a, b in itertools.pairwise(parts):
         assert np.array_equal(a.q[-1], b.q[0]) and a.t[-1] == b.t[0]
-    assert sum(p.way[-1] for p in parts) == pytest.approx(whole.way[-1], rel=1e-9)
+    assert sum(p.way[-1] - p.way[0] for p in parts) == pytest.approx(whole.way[-1], rel=1e-9)
 
 
 def test_a_trajectory_that_stands_still_is_one_step(hand):

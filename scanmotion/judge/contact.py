@@ -24,7 +24,9 @@ TOLERANCE_M = 1e-3
 _STEP_RAD = 0.02
 """Joints turn at most this far between two poses by which motion is measured: chords are then arcs."""
 _MOST_PARTS = 500
-"""A single step between two samples is cut into no more: seven joints by 10 rad at once."""
+"""A single step between two samples is cut into no more: 10 rad at once."""
+_MOST_POSES = 4_000_000
+"""A file of nothing but jumps is cut into no more; it breaks every limit of speed anyway."""
 _BLOCK = 20_000
 
 Worst = dict[tuple[str, str], tuple[float, float]]
@@ -76,6 +78,8 @@ def blocks(record: PlanRecord, trajectory: Trajectory, arm: UrdfArm, solids: lis
     """Cuts the trajectory into stretches, resampled so that nothing moves farther than STEP_M in a step."""
     t, q = trajectory.t, trajectory.q
     parts = np.ceil(np.abs(np.diff(q, axis=0)).max(axis=1) / _STEP_RAD).clip(1, _MOST_PARTS)
+    if parts.sum() > _MOST_POSES:
+        parts = parts.clip(1, max(_MOST_POSES // len(parts), 1))
     count = np.concatenate([[0], np.cumsum(parts)])
     fine = np.interp(np.arange(int(count[-1]) + 1), count, t)
     for first in range(0, len(fine) - 1, _BLOCK):
@@ -85,7 +89,9 @@ def blocks(record: PlanRecord, trajectory: Trajectory, arm: UrdfArm, solids: lis
         marks = np.linspace(0.0, way[-1], steps + 1)
         at = np.interp(marks, way, t_fine)
         at[0], at[-1] = t_fine[0], t_fine[-1]
-        yield Block(t=at, q=_between(at, t, q), way=marks)
+        for start in range(0, steps, _BLOCK):
+            own = slice(start, start + _BLOCK + 1)
+            yield Block(t=at[own], q=_between(at[own], t, q), way=marks[own])
 
 
 def _between(at: np.ndarray, t: np.ndarray, q: np.ndarray) -> np.ndarray:

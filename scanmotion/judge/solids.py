@@ -10,7 +10,7 @@ import numpy as np
 from scanmotion.errors import PartError, PlanFileError
 from scanmotion.judge.motion import Motion, UrdfArm
 from scanmotion.partfile import read_geometry
-from scanmotion.planfile import PlanRecord
+from scanmotion.planfile import PlanRecord, inside
 
 TOOL, STILL, PART = 7, -1, -2
 """Groups beside the links 0..6."""
@@ -80,11 +80,11 @@ def _primitive(kind: str, size: tuple[float, ...]) -> tuple[Any, np.ndarray]:
 
 def _part(folder: Path, record: PlanRecord) -> Solid:
     try:
-        raw = read_geometry(folder / record.part_file)
+        raw = read_geometry(inside(folder, record.part_file))
     except PartError as error:
         raise PlanFileError(str(error)) from None
-    if len(raw.triangles) == 0:
-        raise PlanFileError(f"{record.part_file}: has no triangles")
+    if len(raw.triangles) == 0 or not np.isfinite(raw.vertices).all():
+        raise PlanFileError(f"{record.part_file}: has no triangles, or corners that are no numbers")
     low, high = raw.vertices.min(axis=0), raw.vertices.max(axis=0)
     model = fcl.BVHModel()
     model.beginModel(len(raw.vertices), len(raw.triangles))
