@@ -45,3 +45,28 @@ def kr240_cell():
     from scanmotion.cell.plant import build_cell
 
     return build_cell(load_cell("kr240"))
+
+
+@pytest.fixture(scope="session")
+def lump():
+    """A closed lump without symmetry."""
+    from scans import bumpy
+
+    return bumpy()
+
+
+@pytest.fixture(scope="session")
+def clean_scan(lump):
+    """Three turns about the lump with the stated noise."""
+    from scans import turns
+
+    from scanmotion.scan.simulate import ScanErrors
+
+    return turns(lump, ScanErrors())
+
+
+@pytest.fixture(scope="session")
+def lump_cloud(clean_scan):
+    from scanmotion.scan.fuse import fuse
+
+    return fuse([clean_scan])

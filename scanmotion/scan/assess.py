@@ -131,14 +131,16 @@ def completeness_by_distance(
         angle: greatest angle between their normals [rad].
     """
     tree, covered = cKDTree(points), np.zeros(len(samples.points), bool)
-    todo = np.arange(len(covered))
+    todo = np.arange(len(covered) if len(points) else 0)
     near = 8
-    while len(todo) and near <= 64:
-        d, k = tree.query(samples.points[todo], k=min(near, len(points)), distance_upper_bound=distance)
+    while len(todo):
+        near = min(near, len(points))
+        d, k = tree.query(samples.points[todo], k=near, distance_upper_bound=distance)
         d, k = d.reshape(len(todo), -1), np.minimum(k.reshape(len(todo), -1), len(points) - 1)
         like = np.einsum("ijk,ik->ij", normals[k], samples.normals[todo]) >= np.cos(angle)
         hit = (np.isfinite(d) & like).any(axis=1)
         covered[todo[hit]] = True
         # Only where all the points that were found are near and turned away can a farther one still count.
-        todo, near = todo[~hit & np.isfinite(d).all(axis=1)], near * 8
+        todo = todo[~hit & np.isfinite(d).all(axis=1)] if near < len(points) else todo[:0]
+        near *= 8
     return completeness(samples, covered, np.ones(len(covered), bool) if visible is None else visible)
