@@ -11,6 +11,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.solvers import Solve
 
 from scanmotion.cell.config import settings_from
+from scanmotion.cell.inverse import solver_of
 from scanmotion.cell.kinematics import (
     branches,
     flange_poses,
@@ -22,6 +23,7 @@ from scanmotion.cell.kinematics import (
     tcp_jacobian,
     wrist_shortfall,
 )
+from scanmotion.cell.numeric import NumericArm
 from scanmotion.cell.plant import build_cell
 from scanmotion.cell.robot import clean_angle
 
@@ -432,3 +434,48 @@ def test_a_mirrored_pose_has_the_mirrored_joints(name):
         assert len(ours) == len(theirs)
         gap = np.abs(ours[:, None] - theirs[None]).max(axis=2)
         assert gap.min(axis=1).max() < 1e-6
+
+
+def other_urdf(folder):
+    """An arm that no closed form serves: the KR 240 with A5 beside the forearm's axis and askew."""
+    from scanmotion.part import models_dir
+
+    text = (models_dir() / "robots" / "kr240.urdf").read_text()
+    moved = text.replace('<origin xyz="1.22 0 0"/>', '<origin xyz="1.22 0.05 0.08" rpy="0.1 0 0.2"/>')
+    assert moved != text
+    path = folder / "other.urdf"
+    path.write_text(moved.replace("../meshes", str(models_dir() / "meshes")))
+    return path
+
+
+def test_any_other_arm_is_solved_by_search(tmp_path):
+    other_urdf(tmp_path)
+    home = [0, -90, 90, 0, 0, 0]
+    robot = {"model": "other.urdf", "acceleration": [1, 1, 1, 1, 1, 1], "home_deg": home}
+    cell = build_cell(settings_from({"robot": robot}, folder=str(tmp_path)))
+    assert isinstance(solver_of(cell.robot), NumericArm)
+    q = random_q(cell, 12, seed=16, margin=0.2)
+    X = scanner_poses(cell, q)
+    found = branches(cell, X)
+    assert pose_error(cell, found, X) < 1e-9
+    assert (found.q >= cell.q_min[:6]).all() and (found.q <= cell.q_max[:6]).all()
+    assert len(set(found.pose_index)) >= 11
+    again = branches(cell, X)
+    assert (again.q == found.q).all()
+    far = X.copy()
+    far[:, 0, 3] += 9.0
+    assert len(branches(cell, far).q) == 0 and (wrist_shortfall(cell, far) > 0).all()
+
+
+@pytest.mark.parametrize("name", ["kr240", "ur10e"])
+def test_search_finds_only_what_the_closed_form_knows(name):
+    cell = cell_of(name)
+    X = flange_poses(cell, random_q(cell, 8, seed=17, margin=0.1))
+    exact, searched = solver_of(cell.robot)(X).joints, NumericArm(cell.robot)(X).joints
+    count = 0
+    for ours, theirs in zip(exact, searched, strict=True):
+        for q in theirs[np.isfinite(theirs[:, 0])]:
+            count += 1
+            gap = np.abs(clean_angle(ours - q + 1e-9)).max(axis=1)
+            assert np.nanmin(gap) < 1e-6
+    assert count >= 12

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scanmotion.cell.robot import Robot, Solved, arm_poses, clean_angle, rotations
+from scanmotion.cell.robot import Robot, Solved, arm_poses, clean_angle, least_singular, rotations
 
 _EDGE_M = 1e-9
 """A wrist this far outside the reach is taken for on its edge [m]."""
@@ -119,15 +119,6 @@ class ParallelArm:
         """Vectors in the plane across A2, shape (n, 2)."""
         x = self.w[0]
         return np.stack([v @ x, v @ np.cross(self.w[1], x)], axis=1)
-
-
-def least_singular(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Least singular value of the flange's Jacobian (m and rad mixed) at each row of q (m, 6), shape (m,)."""
-    frames = arm_poses(robot, q)
-    axes = np.einsum("nkij,kj->nki", frames[:, 1:, :3, :3], robot.axes)
-    tip = (frames[:, 6] @ robot.X_6F)[:, None, :3, 3]
-    J = np.concatenate([axes, np.cross(axes, tip - frames[:, 1:, :3, 3])], axis=2)
-    return np.sqrt(np.maximum(np.linalg.eigvalsh(J @ np.swapaxes(J, 1, 2))[:, 0], 0.0))
 
 
 def parallel_arm(robot: Robot) -> ParallelArm | None:

@@ -234,6 +234,21 @@ def arm_poses(robot: Robot, q: np.ndarray) -> np.ndarray:
     return out
 
 
+def arm_jacobian(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Angular (rows 0..2) and linear velocity of the flange in the base per joint speed, shape (n, 6, 6)."""
+    frames = arm_poses(robot, q)
+    axes = np.einsum("nkij,kj->nki", frames[:, 1:, :3, :3], robot.axes)
+    tip = (frames[:, 6] @ robot.X_6F)[:, None, :3, 3]
+    J = np.concatenate([axes, np.cross(axes, tip - frames[:, 1:, :3, 3])], axis=2)
+    return np.swapaxes(J, 1, 2)
+
+
+def least_singular(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Least singular value of the flange's Jacobian (m and rad mixed) at each row of q (m, 6), shape (m,)."""
+    J = arm_jacobian(robot, q)
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(J @ np.swapaxes(J, 1, 2))[:, 0], 0.0))
+
+
 def inverse_poses(X: np.ndarray) -> np.ndarray:
     """Inverses of rigid poses, shape (..., 4, 4)."""
     R = np.swapaxes(X[..., :3, :3], -1, -2)
