@@ -302,7 +302,7 @@ def test_out_of_reach_says_by_how_much_and_which_way(cell, checker):
 
 
 def test_too_near_to_the_base_is_closer_in():
-    """A UR's wrist cannot come nearer to A1 than its own offset: by how much is true, one way and the other."""
+    """A UR's wrist cannot come nearer to A1 than its own offset; by how much is true both ways."""
     cell = build_cell(load_cell("ur10e"))
     checker = Clearance(cell)
     down = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -10,16 +10,23 @@ from pydrake.geometry import (
     ProximityProperties,
     SceneGraph,
 )
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame
+from pydrake.solvers import SnoptSolver, SolverOptions
 from pydrake.systems.framework import DiagramBuilder
+from scipy.spatial.transform import Rotation
 
 from scanmotion.cell.filter import IGNORED_PAIRS
 from scanmotion.cell.scene import add_cell
 
 if TYPE_CHECKING:
     from scanmotion.cell.plant import Cell
+
+_AIM_M = 2e-5
+_AIM_RAD = 1e-4
+"""How exactly the aimed point and, without slack, the direction are kept."""
 
 
 class SlackPlant:
@@ -63,6 +70,49 @@ class SlackPlant:
     def configuration(self, positions: np.ndarray) -> np.ndarray:
         """A1..A6, E1 of the plant's positions, shape (7,) [rad]."""
         return np.asarray(positions)[self._order]
+
+    def solve(
+        self,
+        X_OS: np.ndarray,
+        distances: tuple[float, float, float],
+        tilt: float,
+        roll: bool,
+        seed: np.ndarray,
+        distance: float,
+    ) -> np.ndarray | None:
+        """A configuration near `seed` whose scanner looks at the aimed point within the slack, or None.
+
+        Args:
+            X_OS: the pose asked for, shape (4, 4).
+            distances: of the aimed point from X_OS, and the least and greatest allowed, along the axis [m].
+            tilt: greatest angle to X_OS [rad]; of the axis alone where `roll` is free.
+            roll: whether the scanner may turn about its axis.
+            seed: where the search starts, shape (7,) [rad].
+            distance: least distance of all pairs that are judged [m].
+        """
+        # The stubs of pydrake know no arrays.
+        ik: Any = InverseKinematics(self.plant, self.context, True)
+        solver: Any = SnoptSolver()
+        standoff, near, far = distances
+        aim = X_OS[:3, 3] + standoff * X_OS[:3, 2]
+        beside = np.array([_AIM_M, _AIM_M, 0.0])
+        ik.AddPositionConstraint(
+            self.frame_O, aim, self.frame_S, np.array([0, 0, near]) - beside, np.array([0, 0, far]) + beside
+        )
+        z, most = np.array([0.0, 0.0, 1.0]), max(tilt, _AIM_RAD)
+        if roll:
+            ik.AddAngleBetweenVectorsConstraint(self.frame_O, X_OS[:3, 2], self.frame_S, z, 0.0, most)
+        else:
+            R: Any = Rotation.from_matrix(X_OS[:3, :3]).as_matrix()
+            ik.AddOrientationConstraint(self.frame_O, RotationMatrix(R), self.frame_S, RotationMatrix(), most)
+        ik.AddMinimumDistanceLowerBoundConstraint(distance, 0.05)
+        start = self.positions(seed)
+        prog = ik.prog()
+        prog.AddQuadraticErrorCost(np.eye(len(start)), start, ik.q())
+        options = SolverOptions()
+        options.SetOption(solver.solver_id(), "Major iterations limit", 60)
+        result = solver.Solve(prog, start, options)
+        return self.configuration(result.GetSolution(ik.q())) if result.is_success() else None
 
     @property
     def order(self) -> np.ndarray:

@@ -1,15 +1,16 @@
 """Reach: for each viewpoint its collision-free configurations of arm and table, or why there are none."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from scanmotion.cell.clearance import Clearance
-from scanmotion.cell.kinematics import branches, scanner_in_object, wrist_shortfall
+from scanmotion.cell.kinematics import branches, scanner_in_object, scanner_poses, wrist_shortfall
 from scanmotion.cell.plant import Cell
 from scanmotion.motion.candidates import Candidates, candidates, presented, table_angles, turns_about_z
 from scanmotion.motion.causes import Remedies, Unreachable, cause_of
+from scanmotion.motion.slack import SlackSearch, has_slack, seeds_from, variants
 from scanmotion.viewpoints.viewpoint import Viewpoint
 
 __all__ = ["Reach", "Unreachable", "reach", "reachable_mask"]
@@ -46,6 +47,8 @@ class ReachOptions:
     """Rolls about the optical axis, where the viewpoint leaves it free."""
     most: int = 96
     """Configurations kept for each viewpoint; few are found sooner, as fewer table angles are tried."""
+    slack: bool = True
+    """Whether to look at other poses within a viewpoint's slack where the exact one cannot be served."""
     remedies: bool = True
     """Whether to look for what would mend an unreachable viewpoint."""
 
@@ -62,7 +65,8 @@ def reach(
 
     A station may be served at any table angle, in all branches of the arm and all windings inside the limits.
     A revolution keeps the arm still while the table turns once: its azimuth about the table's axis is free,
-    and the arm has to be clear of the part at every angle.
+    and the arm has to be clear of the part at every angle. Where no exact pose of a station serves, poses
+    within its slack do: X_OS of the answer says which.
 
     Args:
         cell: the cell, with the part.
@@ -74,12 +78,13 @@ def reach(
     clearance = clearance or Clearance(cell)
     options = options or ReachOptions()
     remedies = Remedies(cell, clearance, _serves_with(options)) if options.remedies else None
+    search = SlackSearch(cell, clearance)
     found: list[Reach] = []
     for first in range(0, len(viewpoints), _BLOCK):
         block = _Block(cell, list(viewpoints[first : first + _BLOCK]), clearance, options)
         block.look()
         for n in range(len(block.viewpoints)):
-            found.append(block.answer(n, remedies))
+            found.append(block.answer(n, remedies, search))
             if progress is not None:
                 progress(len(found) / len(viewpoints))
     return found
@@ -164,13 +169,15 @@ class _Block:
                 break
         return ok
 
-    def answer(self, n: int, remedies: Remedies | None) -> Reach:
+    def answer(self, n: int, remedies: Remedies | None, search: SlackSearch) -> Reach:
         """What was found for viewpoint n; the exact tier is asked only where the fast one finds nothing."""
         viewpoint = self.viewpoints[n]
         if self.kept[n]:
             return self._reach(viewpoint, np.concatenate(self.kept[n]))
         tried = np.concatenate(self.tried[n]) if self.tried[n] else np.zeros((0, 8))
         exact = self._exact(tried) if viewpoint.kind == "station" else tried[:0]
+        if len(exact) == 0 and self.options.slack and has_slack(viewpoint):
+            exact = self._within_slack(viewpoint, search)
         if len(exact):
             return self._reach(viewpoint, exact)
         for angles in (self.angles[n][:3], self.angles[n]):
@@ -181,6 +188,26 @@ class _Block:
         X_WS, table = presented(self.cell, viewpoint, self.angles[n], self.options.rolls)
         cause = cause_of(self.cell, viewpoint, self.clearance, X_WS, table, tried[:, :7], remedies)
         return self._reach(viewpoint, tried[:0], cause)
+
+    def _within_slack(self, viewpoint: Viewpoint, search: SlackSearch) -> np.ndarray:
+        """Free rows at other poses within the slack: analytic ones, else one from the constrained search."""
+        few = replace(self.options, most=max(self.options.most // 8, 1))
+        others = _Block(self.cell, variants(self.cell, viewpoint), self.clearance, few)
+        others.look()
+        kept = [rows[: few.most] for found in others.kept for rows in found]
+        if kept:
+            return np.concatenate(kept)[: self.options.most]
+        tried = np.concatenate([np.zeros((0, 8)), *(rows for found in others.tried for rows in found)])[:, :7]
+        if len(tried) == 0:
+            return np.zeros((0, 8))
+        q = search.solve(viewpoint, seeds_from(tried, self.clearance.surely_blocked(tried)))
+        if q is None:
+            return np.zeros((0, 8))
+        solved = branches(self.cell, scanner_poses(self.cell, q[None]))
+        off = np.abs(solved.q - q[:6]).max(axis=1)
+        # At the edge of a limit rounding may lose the branch: such a place is called singular.
+        sigma = solved.manipulability[np.argmin(off)] if len(off) and off.min() < 1e-3 else 0.0
+        return np.append(q, sigma)[None]
 
     def _exact(self, tried: np.ndarray) -> np.ndarray:
         """The rows that the exact tier calls free, `most` of them at most."""
