@@ -84,13 +84,36 @@ def test_free_agrees_with_fcl(checker, rows, truth):
 
 
 def test_distance_is_that_of_fcl(cell, checker, rows, truth):
-    for q, (outside, inside) in list(zip(rows, truth, strict=True))[::10]:
+    """Of the pair that keeps its own clearance worst, and `asked` says which clearance that is."""
+    kinds = set()
+    for q, (outside, inside) in list(zip(rows, truth, strict=True))[::3]:
         distance, pair = checker.distance(q)
+        assert all(pair)
+        excess = min(outside - checker.clearance, inside - checker.self_clearance)
         if min(outside, inside) < 0:
             assert distance <= TOLERANCE_M
-        elif outside < inside and outside < 0.9:
-            assert distance == pytest.approx(outside, abs=1e-3)
-        assert all(pair)
+        elif excess < 0.5:
+            assert distance - checker.asked(pair) == pytest.approx(excess, abs=1e-3)
+            kinds.add(checker.asked(pair))
+    assert kinds == {checker.clearance, checker.self_clearance}
+
+
+def test_link_1_is_judged_against_obstacles():
+    """A post beside the turning column, where the base is not; the floor under it counts not."""
+    post = {"name": "post", "centre_m": [0.0, 0.62, 0.42], "size_m": [0.05, 0.05, 0.84]}
+    cell = build_cell(settings_from({"obstacles": [post]}))
+    checker = Clearance(cell)
+    seen = set()
+    second = FclCell(cell)
+    for a1 in np.deg2rad(np.arange(-180, 181, 10.0)):
+        q = np.append([a1, -1.2, 1.6, 0.0, 0.5], [0.0, 0.0])
+        outside, _ = second.distances(q)
+        if abs(outside - checker.clearance) < TOLERANCE_M:
+            continue
+        assert checker.free(q[None])[0] == cell.drake.free(q[None])[0] == (outside > checker.clearance)
+        if outside < checker.clearance:
+            seen.add(checker.distance(q)[1])
+    assert "link_1" in {pair[0] for pair in seen} and {pair[1] for pair in seen} == {"post"}
 
 
 def test_tool_blocked_means_blocked(cell, checker, rows):

@@ -133,17 +133,23 @@ class Clearance:
         return True, -1, ("", "")
 
     def distance(self, q: np.ndarray) -> tuple[float, tuple[str, str]]:
-        """Least exact distance of one configuration (7,) [m] and the two bodies; negative in collision.
+        """Exact distance of the two solids that keep their clearance worst in one configuration (7,) [m].
 
-        Distances between links count beyond their smaller clearance, so that the least is the worst.
+        It is negative in collision; the second value names the two.
         """
         q = np.asarray(q, dtype=float)
-        nearest, pair = self.cell.drake.nearest(q)
-        nearest = nearest, self._named(q, pair)
-        if self._part is None:
-            return nearest
-        d, name = self._part_distance(q)
-        return (d, (name, self.cell.part.name if self.cell.part else "part")) if d < nearest[0] else nearest
+        excess, distance, pair = self.cell.drake.nearest(q)
+        if self._part is not None:
+            d, name = self._part_distance(q)
+            if d - self.clearance < excess:
+                return d, (name, self.cell.part.name if self.cell.part else "part")
+        return distance, self._named(q, pair)
+
+    def asked(self, pair: tuple[str, str]) -> float:
+        """The clearance that a pair named by `distance` has to keep [m]."""
+        still = {b.name for b in self.cell.bodies if b.link > TOOL}
+        part = self.cell.part.name if self.cell.part else ""
+        return self.clearance if still & set(pair) or pair[1] == part else self.self_clearance
 
     def _named(self, q: np.ndarray, pair: tuple[str, str]) -> tuple[str, str]:
         """The pair with the nearest solids of tool, table and surroundings in place of the whole."""
@@ -154,15 +160,14 @@ class Clearance:
             return pair
         links = link_poses(self.cell, q)[0]
         frames = [*links, links[6] @ self.cell.robot.X_6F, self.cell.X_WT, np.eye(4)]
-        sides = []
-        for group in groups:
-            sides.append([])
+        sides: list[list[tuple[str, Any]]] = [[], []]
+        for side, group, whole in zip(sides, groups, pair, strict=True):
             for body in self.cell.bodies:
-                if body.link == group and not (min(groups) <= 1 and body.name == "floor"):
+                if body.link == group and (body.name == "floor") == (whole == "floor"):
                     X = frames[group] @ body.X_LG
                     shape = fcl.Box(*body.size) if body.shape == "box" else fcl.Cylinder(*body.size[:2])
                     solid = fcl.CollisionObject(shape, fcl.Transform(X[:3, :3], X[:3, 3]))
-                    sides[-1].append((body.name, solid))
+                    side.append((body.name, solid))
         best, names = np.inf, pair
         for a, first in sides[0]:
             for b, other in sides[1]:

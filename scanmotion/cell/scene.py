@@ -65,7 +65,12 @@ def write_models(cell: "Cell", folder: Path) -> Path:
     mass = cell.settings.tool.mass_kg
     (folder / "tool.urdf").write_text(_urdf_of("tool", of[TOOL], mass=mass, collide=True))
     (folder / "stand.urdf").write_text(_urdf_of("stand", of[TABLE], mass=1.0, collide=True))
-    (folder / "surroundings.urdf").write_text(_urdf_of("surroundings", of[WORLD], mass=1.0, collide=True))
+    # The floor is a body of its own: base and link 1 are judged against obstacles, but not against it.
+    for name, solids in (
+        ("floor", [b for b in of[WORLD] if b.name == "floor"]),
+        ("surroundings", [b for b in of[WORLD] if b.name != "floor"]),
+    ):
+        (folder / f"{name}.urdf").write_text(_urdf_of(name, solids, mass=1.0, collide=True))
     joint = (
         '<robot name="turntable"><link name="turntable_base"/><link name="turntable">'
         '<inertial><mass value="100"/>'
@@ -80,6 +85,7 @@ def write_models(cell: "Cell", folder: Path) -> Path:
         ("tool", (folder / "tool.urdf").as_uri()),
         ("turntable", (folder / "turntable.urdf").as_uri()),
         ("stand", (folder / "stand.urdf").as_uri()),
+        ("floor", (folder / "floor.urdf").as_uri()),
         ("surroundings", (folder / "surroundings.urdf").as_uri()),
     ):
         lines.append(f"- add_model: {{name: {name}, file: '{file}'}}")
@@ -89,6 +95,7 @@ def write_models(cell: "Cell", folder: Path) -> Path:
         (f"arm::{cell.settings.robot.flange}", "tool::tool", np.eye(4)),
         ("world", "turntable::turntable_base", cell.X_WT),
         ("world", "stand::stand", cell.X_WT),
+        ("world", "floor::floor", np.eye(4)),
         ("world", "surroundings::surroundings", np.eye(4)),
     ):
         lines.append(f"- add_weld: {{parent: '{parent}', child: '{child}', X_PC: {_pose_yaml(X)}}}")
@@ -134,6 +141,7 @@ class DrakeCell:
             self_collision_padding=process.self_clearance_m,
         )
         self.plant = self.checker.plant()
+        self._asked = (process.self_clearance_m, process.clearance_m)
         self._order = self._joint_order(cell)
         self.groups = self._groups(cell)
         self._filter(cell)
@@ -167,7 +175,7 @@ class DrakeCell:
         ]
         for a, b in sorted(IGNORED_PAIRS):
             self.checker.SetCollisionFilteredBetween(bodies[a], bodies[b], True)
-        floor = self.plant.GetBodyByName("surroundings")
+        floor = self.plant.GetBodyByName("floor")
         for body in bodies[:2]:
             self.checker.SetCollisionFilteredBetween(body, floor, True)
 
@@ -186,11 +194,18 @@ class DrakeCell:
         rows = list(self.positions(q))
         return np.array(self.checker.CheckConfigsCollisionFree(rows, parallelize=threads), dtype=bool)
 
-    def nearest(self, q: np.ndarray) -> tuple[float, tuple[str, str]]:
-        """Least distance [m] and the two bodies of one configuration (7,); the part is not among them."""
+    def nearest(self, q: np.ndarray) -> tuple[float, float, tuple[str, str]]:
+        """The pair that keeps its clearance worst in one configuration (7,); the part is not among them.
+
+        Returns:
+            by how much more than asked for the two are apart [m], their distance [m], and their names.
+        """
         found = self.checker.CalcRobotClearance(self.positions(q[None])[0], 1.0)
         if found.size() == 0:
-            return 1.0, ("", "")
+            return 1.0, 1.0, ("", "")
         i = int(np.argmin(found.distances()))
-        names = [self.plant.get_body(k[i]).name() for k in (found.robot_indices(), found.other_indices())]
-        return float(found.distances()[i]), (names[0], names[1])
+        of = (self.plant.get_body(k[i]).name() for k in (found.robot_indices(), found.other_indices()))
+        a, b = of
+        # Drake counts distances from the padding on.
+        excess = float(found.distances()[i])
+        return excess, excess + self._asked[self.groups.get(b, 9) > 7], (a, b)

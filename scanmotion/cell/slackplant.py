@@ -138,8 +138,8 @@ def _filter(plant: MultibodyPlant, scene: SceneGraph, cell: "Cell") -> None:
     """Leaves out the pairs that touch by construction, and what does not belong to the robot."""
     joints = [plant.GetJointByName(n) for n in cell.settings.robot.joints]
     bodies = [joints[0].parent_body(), *(j.child_body() for j in joints), plant.GetBodyByName("tool")]
-    floor = plant.GetBodyByName("surroundings")
-    still = [floor, plant.GetBodyByName("stand"), plant.GetBodyByName("turntable"), bodies[0]]
+    floor = plant.GetBodyByName("floor")
+    still = [floor, bodies[0], *(plant.GetBodyByName(n) for n in ("surroundings", "stand", "turntable"))]
     pairs = [(bodies[a], bodies[b]) for a, b in sorted(IGNORED_PAIRS)] + [(bodies[1], floor)]
     pairs += [(a, b) for n, a in enumerate(still) for b in still[n + 1 :]]
     manager = scene.collision_filter_manager()

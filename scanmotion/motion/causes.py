@@ -164,18 +164,18 @@ def _blocked(clearance: Clearance, viewpoint: Viewpoint, q: np.ndarray) -> str:
     """The pair that blocks the least blocked of some configurations."""
     turns = viewpoint.kind == "revolution"
     count = min(len(q), 2 if turns else _LOOKED_AT)
-    worst: tuple[float, tuple[str, str], float] = (-np.inf, ("", ""), 0.0)
+    worst: tuple[float, float, tuple[str, str], float] = (-np.inf, 0.0, ("", ""), 0.0)
     for row in q[np.linspace(0, len(q) - 1, count).astype(int)]:
         rows = [row]
         if turns:
             rows = [np.append(row[:6], e) for e in np.linspace(0, 2 * np.pi, 12, endpoint=False)]
-        distance, pair, angle = min(((*clearance.distance(r), r[6]) for r in rows), key=lambda d: d[0])
-        if distance > worst[0]:
-            worst = (distance, pair, angle)
-    distance, pair, angle = worst
+        measured = [(*clearance.distance(r), r[6]) for r in rows]
+        least = min(((d - clearance.asked(pair), d, pair, e) for d, pair, e in measured), key=lambda m: m[0])
+        worst = max(worst, least, key=lambda m: m[0])
+    _, distance, pair, angle = worst
     how = "touch" if distance <= 0 else f"come within {distance * 1e3:.0f} mm"
     return (
         f"{pair[0]} and {pair[1]} {how} in the best of {count} configurations measured "
         f"(table at {np.rad2deg(angle):.0f} deg), "
-        f"{clearance.clearance * 1e3:.0f} mm are asked for"
+        f"{clearance.asked(pair) * 1e3:.0f} mm are asked for"
     )

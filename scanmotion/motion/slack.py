@@ -119,13 +119,15 @@ class SlackSearch:
 
 
 def seeds_from(q: np.ndarray, blocked: np.ndarray, most: int = TRIES) -> np.ndarray:
-    """Rows that are not blocked beyond doubt first, no two with the table at the same angle, shape (k, 7).
+    """Rows that are not blocked beyond doubt first, and of those, others of the table's angle, shape (k, 7).
 
     Args:
         q: candidates, best first, shape (n, 7) [rad].
         blocked: which ones are blocked beyond doubt, shape (n,).
         most: greatest number of seeds.
     """
-    order = np.argsort(blocked, kind="stable")
-    _, first = np.unique(np.round(q[order, 6], 3), return_index=True)
-    return q[order][np.sort(first)][:most]
+    q = q[np.argsort(blocked, kind="stable")]
+    _, first = np.unique(np.round(q[:, 6], 3), return_index=True)
+    again = np.ones(len(q), bool)
+    again[first] = False
+    return q[np.lexsort((np.arange(len(q)), again))][:most]
