@@ -15,12 +15,15 @@ from scanmotion.motion.reach import reachable_mask
 from scanmotion.outcome import Plan, Round, Stopwatch
 from scanmotion.part import Part, SurfaceSamples, check_fits, surface_samples
 from scanmotion.scan.fuse import Cloud, fuse
+from scanmotion.scan.images import depth_images
+from scanmotion.scan.merge import merged
 from scanmotion.scan.simulate import Scan, ScanErrors, captures_from_trajectory, simulate
 from scanmotion.scanner import Scanner
 from scanmotion.trajectory import Trajectory, joined
 from scanmotion.viewpoints.boundary import oriented_normals
 from scanmotion.viewpoints.cad_slicing import cad_slicing
 from scanmotion.viewpoints.coverage import Scene, scene_from, visible
+from scanmotion.viewpoints.frontier import Space
 from scanmotion.viewpoints.holes import HoleReport, holes_from_cloud
 from scanmotion.viewpoints.local import local_viewpoints
 from scanmotion.viewpoints.model import closed_model
@@ -46,7 +49,7 @@ class PlanOptions:
     strategy: Strategy = "two-step"
     seed: int = 0
     rounds: int = 3
-    """Most local rounds: holes are sought again after each."""
+    """Most local rounds: what is still open is sought again after each."""
     samples: int = 40_000
     """Surface samples by which completeness is counted."""
     voxel: float = 0.002
@@ -122,6 +125,9 @@ class _Trip:
         self.holes: HoleReport | None = None
         self.dropped: list[tuple[str, str]] = []
         self.unscanned: tuple = ()
+        self.space = Space(
+            self.scanner, extent=part.extent, edge=options.voxel, stride=options.stride, table_z=self.table_z
+        )
         self.shunned: list[np.ndarray] = []
         self.scene: Scene | None = None
         self.samples: SurfaceSamples | None = None
@@ -187,15 +193,15 @@ class _Trip:
         """Holes, local viewpoints, the same trip again, until nothing more is worth a round."""
         for number in range(1, self.options.rounds + 1):
             assert self.cloud is not None
-            with self.watch("holes"):
-                self.progress("holes", 0.0)
-                holes = holes_from_cloud(
-                    self.cloud.points, view_directions=self.cloud.view_directions, mode=self.options.mode
-                )
-                self.holes = self.holes or holes
+            if self.holes is None:
+                with self.watch("holes"):
+                    self.progress("holes", 0.0)
+                    self.holes = holes_from_cloud(
+                        self.cloud.points, view_directions=self.cloud.view_directions, mode=self.options.mode
+                    )
             with self.watch("viewpoints"):
                 self.progress("viewpoints", 0.0)
-                views = self._local_views(holes, number)
+                views = self._local_views(self.holes, number)
             if not views:
                 return
             self._run(renamed(views, f"R{number}" if number > 1 else ""), "local", self._rng(10 + number))
@@ -213,7 +219,7 @@ class _Trip:
         step = local_step(
             self.cloud.points, self.cloud.normals, holes.holes, self.scanner,
             spacing=self.options.voxel,
-            frames=np.concatenate([s.captures.X_OS for s in self.scans]) if self.scans else None,
+            frontier=self.space.frontier(self.cloud.points) if self.scans else None,
             seconds=self._seconds_left(),
             table_radius=self.settings.turntable.diameter_m / 2,
             table_z=self.table_z,
@@ -265,7 +271,11 @@ class _Trip:
         )  # fmt: skip
         self.scans.append(scan)
         self.seen = self.seen | scan.seen
-        self.cloud = fuse(self.scans, voxel=self.options.voxel)
+        images = depth_images(scan, self.scanner, stride=self.options.stride)
+        self.space.add(scan.captures.X_OS, images)
+        if len(scan):
+            new = fuse([scan], voxel=self.options.voxel)
+            self.cloud = new if self.cloud is None else merged(self.cloud, new, voxel=self.options.voxel)
 
     def _complete(self) -> bool:
         return self.completeness() >= self.options.goal

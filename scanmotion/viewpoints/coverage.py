@@ -6,11 +6,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from scanmotion.compiled import njit, prange
 from scanmotion.scanner import Scanner
 
 _SKIN = 2e-4
 """Shadow rays start this far off the surface [m]."""
 _CHUNK = 400_000
+GUESSED = 0.005
+"""A guessed surface does not hide points closer behind it than this [m]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -23,6 +26,9 @@ class Scene:
     """Open3D RaycastingScene."""
     table_z: float
     """Height of the table's top in O [m]; the scanner stays above it. -inf without a table."""
+    guess: Any = None
+    """Open3D RaycastingScene of surface that is guessed, not measured; it blocks a line only beyond GUESSED
+    from the line's origin. None for none."""
     outline: np.ndarray | None = None
     """Corners of the surface's convex hull, shape (h, 3): rays past it cannot hit; None where not known."""
 
@@ -96,46 +102,72 @@ def _tube(radius: float, low: float, high: float) -> tuple[np.ndarray, np.ndarra
 
 
 def free_lines(scene: Scene, origins: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """Whether nothing stands between each origin and its target (k, 3), shape (k,)."""
+    """Whether nothing stands between each origin, near the surface, and its target (k, 3), shape (k,)."""
     out = np.zeros(len(origins), bool)
     for first in range(0, len(origins), _CHUNK):
         o, t = origins[first : first + _CHUNK], targets[first : first + _CHUNK]
-        rays = np.concatenate([o, t - o], axis=1).astype(np.float32)
-        out[first : first + _CHUNK] = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=1.0).numpy()
+        line = t - o
+        rays = np.concatenate([o, line], axis=1).astype(np.float32)
+        free = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=1.0).numpy()
+        if scene.guess is not None:
+            length = np.maximum(np.linalg.norm(line, axis=1, keepdims=True), GUESSED)
+            start = o + GUESSED / length * line
+            rays = np.concatenate([start, t - start], axis=1).astype(np.float32)
+            free &= ~scene.guess.test_occlusions(rays, tnear=0.0, tfar=1.0).numpy()
+        out[first : first + _CHUNK] = free
     return out
 
 
 def in_view(scanner: Scanner, X_OS: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Which points the scanner at X_OS (4, 4) would see were nothing in the way, shape (m,).
+    """Which points the scanner at X_OS (n, 4, 4) would see were nothing in the way, shape (n, m).
 
     Inside the camera's field and range, and turned towards camera and projector by no more than the greatest
     incidence.
     """
-    R, camera = X_OS[:3, :3], X_OS[:3, 3]
-    to_camera = camera - points
-    p_S = -to_camera @ R
-    z = p_S[:, 2]
-    tx, ty = np.tan(scanner.fov[0] / 2), np.tan(scanner.fov[1] / 2)
-    ok = (z >= scanner.range[0]) & (z <= scanner.range[1])
-    ok &= (np.abs(p_S[:, 0]) <= tx * z) & (np.abs(p_S[:, 1]) <= ty * z)
-    least = np.cos(scanner.max_incidence)
-    for offset in (np.zeros(3), scanner.baseline * R[:, 0]):
-        line = to_camera + offset
-        cosine = np.einsum("ij,ij->i", line, normals)
-        ok &= cosine >= least * np.linalg.norm(line, axis=1)
-    return ok
+    return _in_view(
+        np.ascontiguousarray(X_OS, dtype=float).reshape(-1, 4, 4),
+        np.ascontiguousarray(points, dtype=float),
+        np.ascontiguousarray(normals, dtype=float),
+        np.array([np.tan(scanner.fov[0] / 2), np.tan(scanner.fov[1] / 2), *scanner.range]),
+        float(np.cos(scanner.max_incidence)),
+        float(scanner.baseline),
+    )
+
+
+@njit(cache=True, parallel=True)
+def _in_view(X_OS, points, normals, field, least, baseline):
+    n, m = len(X_OS), len(points)
+    out = np.zeros((n, m), np.bool_)
+    for i in prange(n):
+        X = X_OS[i]
+        for j in range(m):
+            x, y, z = points[j, 0] - X[0, 3], points[j, 1] - X[1, 3], points[j, 2] - X[2, 3]
+            c = X[0, 2] * x + X[1, 2] * y + X[2, 2] * z
+            if c < field[2] or c > field[3]:
+                continue
+            a = X[0, 0] * x + X[1, 0] * y + X[2, 0] * z
+            b = X[0, 1] * x + X[1, 1] * y + X[2, 1] * z
+            if abs(a) > field[0] * c or abs(b) > field[1] * c:
+                continue
+            u, v, w = normals[j]
+            if -(u * x + v * y + w * z) < least * np.sqrt(x * x + y * y + z * z):
+                continue
+            x -= baseline * X[0, 0]
+            y -= baseline * X[1, 0]
+            z -= baseline * X[2, 0]
+            out[i, j] = -(u * x + v * y + w * z) >= least * np.sqrt(x * x + y * y + z * z)
+    return out
 
 
 def _unblocked(
-    scene: Scene, scanner: Scanner, X_OS: np.ndarray, points: np.ndarray, normals: np.ndarray
+    scene: Scene, scanner: Scanner, X_OS: np.ndarray, pose: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Whether both eyes of one pose have a free line to each point, shape (k,)."""
-    start = points + _SKIN * normals
-    camera = X_OS[:3, 3]
-    ok = free_lines(scene, start, np.broadcast_to(camera, start.shape))
+    """Whether both eyes of the poses X_OS[pose] have a free line to the points (k, 3), shape (k,)."""
+    camera = X_OS[pose, :3, 3]
+    ok = free_lines(scene, points, camera)
     where = np.flatnonzero(ok)
-    projector = camera + scanner.baseline * X_OS[:3, 0]
-    ok[where] = free_lines(scene, start[where], np.broadcast_to(projector, (len(where), 3)))
+    projector = camera[where] + scanner.baseline * X_OS[pose[where], :3, 0]
+    ok[where] = free_lines(scene, points[where], projector)
     return ok
 
 
@@ -156,9 +188,12 @@ def sees(
     """
     X_OS = np.asarray(X_OS, dtype=float).reshape(-1, 4, 4)
     out = np.zeros((len(X_OS), len(points)), bool)
-    for n, X in enumerate(X_OS):
-        where = np.flatnonzero(in_view(scanner, X, points, normals))
-        out[n, where] = _unblocked(scene, scanner, X, points[where], normals[where])
+    start = points + _SKIN * normals
+    step = max(1, 4_000_000 // max(len(points), 1))
+    for first in range(0, len(X_OS), step):
+        poses = X_OS[first : first + step]
+        i, j = np.nonzero(in_view(scanner, poses, points, normals))
+        out[first + i, j] = _unblocked(scene, scanner, poses, i, start[j])
     return out
 
 
@@ -173,13 +208,31 @@ def seen_by_any(
 ) -> np.ndarray:
     """Which points at least one of the poses measures, shape (m,); those in `seen` are not asked again."""
     found = np.zeros(len(points), bool) if seen is None else np.array(seen, dtype=bool)
-    for X in np.asarray(X_OS, dtype=float).reshape(-1, 4, 4):
+    X_OS = np.asarray(X_OS, dtype=float).reshape(-1, 4, 4)
+    for n in range(len(X_OS)):
         todo = np.flatnonzero(~found)
         if len(todo) == 0:
             break
-        todo = todo[in_view(scanner, X, points[todo], normals[todo])]
-        found[todo] = _unblocked(scene, scanner, X, points[todo], normals[todo])
+        todo = todo[in_view(scanner, X_OS[n], points[todo], normals[todo])[0]]
+        start = points[todo] + _SKIN * normals[todo]
+        found[todo] = _unblocked(scene, scanner, X_OS, np.full(len(todo), n), start)
     return found
+
+
+def turns_see(
+    scene: Scene,
+    scanner: Scanner,
+    X_OS: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    *,
+    poses: int = 30,
+) -> np.ndarray:
+    """Which points each whole turn of the table before a pose X_OS (n, 4, 4) measures, shape (n, m)."""
+    out = np.zeros((len(X_OS), len(points)), bool)
+    for n, X in enumerate(X_OS):
+        out[n] = sees(scene, scanner, revolution_poses(X, poses), points, normals).any(axis=0)
+    return out
 
 
 def revolution_poses(X_OS: np.ndarray, n: int = 60) -> np.ndarray:

@@ -5,57 +5,45 @@ scored by what camera and projector would see of them, and only what the robot r
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from scanmotion.scanner import Scanner
-from scanmotion.viewpoints.coverage import (
-    Scene,
-    free_lines,
-    hemisphere,
-    revolution_poses,
-    scene_from,
-    seen_by_any,
-    sees,
-    tangents,
-)
+from scanmotion.viewpoints.candidates import CandidateOptions, candidates
+from scanmotion.viewpoints.coverage import Scene, scene_from, sees, turns_see
+from scanmotion.viewpoints.frontier import Frontier
 from scanmotion.viewpoints.holes import Hole
 from scanmotion.viewpoints.model import ClosedModel, closed_model
-from scanmotion.viewpoints.stepped_rotary import UPRIGHT, oblique_turn
-from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.viewpoints.viewpoint import Slack, Viewpoint
 
 Reachable = Callable[[np.ndarray], np.ndarray]
 STATION_S, REVOLUTION_S = 1.8, 9.2
 """What a station and a revolution cost beside the way there, for weighing them against each other [s]."""
 SECONDS_PER_METRE = 12.0
 """The scanner's way at 0.1 m/s with its ramps [s/m]."""
-_CONE = np.deg2rad(65.0)
+_ASKED = 48
+"""Candidates of which reach is asked at once."""
+_TURN = 30
+"""Poses by which a whole turn is scored."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SelectOptions:
     """How finely to look."""
 
+    candidates: CandidateOptions = field(default_factory=CandidateOptions)
     targets: int = 2500
     """Most points spread over the unseen patches."""
-    seeds: int = 90
-    """Most places around which candidates are made."""
-    directions: int = 21
-    """Viewing directions about each seed's normal."""
-    standoffs: tuple[float, ...] = (0.45, 0.70, 0.93)
-    """Distances of the camera from the seed [m]."""
-    rolls: tuple[float, ...] = (0.0, np.pi / 2)
-    """Rolls about the optical axis [rad]."""
-    candidates: int = 4000
-    """Most candidates that are scored."""
-    gap: float = 0.005
-    """A model's triangle farther than this from the data is unseen in any case [m]."""
+    gap: float = 0.003
+    """A triangle of the model farther than this from the data is unseen, where no frontier is known [m]."""
+    wide_gap: float = 0.006
+    """The same where the frontier tells of narrower ones [m]."""
     probes: int = 30_000
-    """Points spread over the model to find what no frame has seen."""
+    """Points spread over the model to find what is only guessed."""
     most: int = 24
     """Most viewpoints chosen in one round."""
-    least_rate: float = 5.0e-5
+    least_rate: float = 2.0e-5
     """A viewpoint that adds less than this share of the surface per second is not worth its seconds [1/s]."""
 
 
@@ -93,7 +81,7 @@ def local_step(
     spacing: float,
     table_radius: float,
     table_z: float = 0.0,
-    frames: np.ndarray | None = None,
+    frontier: Frontier | None = None,
     reachable: Reachable | None = None,
     seconds: float = np.inf,
     prefix: str = "L",
@@ -110,8 +98,8 @@ def local_step(
         spacing: of the points [m].
         table_radius: of the table's disc [m].
         table_z: its height in O [m].
-        frames: poses X_OS of the frames taken so far, shape (k, 4, 4): what none of them sees of the model is
-            a target too, narrow strips under ledges above all; None where they are not known.
+        frontier: where the frames left space open, narrow strips under ledges above all; None where the
+            frames are not known.
         reachable: tells which poses (n, 4, 4) the robot reaches; None for all.
         seconds: what the chosen may take together, roughly [s].
         prefix: of the viewpoints' ids.
@@ -120,39 +108,54 @@ def local_step(
     """
     options = options or SelectOptions()
     model = closed_model(points, normals, spacing=spacing, table_z=table_z)
-    scene = scene_from(model.vertices, model.triangles, table_radius=table_radius, table_z=table_z)
-    targets, target_normals, area = _targets(model, scene, scanner, frames, options, table_z, rng)
-    if len(targets) == 0:
-        return LocalStep(viewpoints=(), unseen=(), model=model, targets=targets, gains=())
-    poses, kinds = _candidates(
-        scene, scanner, model, targets, target_normals, holes, options, table_radius, table_z
-    )
-    matrix = _scores(scene, scanner, poses, kinds, targets, target_normals)
-    reached = np.ones(len(poses), bool) if reachable is None else np.asarray(reachable(poses), dtype=bool)
-    usable = matrix & reached[:, None]
+    scene = _scene(model, table_radius, table_z)
+    targets = _targets(model, frontier, options, table_z, rng)
+    if len(targets.points) == 0:
+        return LocalStep(viewpoints=(), unseen=(), model=model, targets=targets.points, gains=())
+    poses, kinds = candidates(
+        scene, scanner, model.vertices, targets.points, targets.normals, holes,
+        table_radius=table_radius, table_z=table_z, options=options.candidates,
+    )  # fmt: skip
+    matrix = _scores(scene, scanner, poses, kinds, targets)
+    arm = _Arm(poses, reachable)
     least = options.least_rate * model.area
-    chosen, gains = _chosen(usable, area, poses, kinds, least, seconds, options.most)
+    chosen, gains = _chosen(matrix, targets.areas, poses, kinds, arm, least, seconds, options.most)
     views = tuple(
         _view(poses[c], kinds[c], f"{prefix}{n}", g)
         for n, (c, g) in enumerate(zip(chosen, gains, strict=True), 1)
     )
-    covered = usable[chosen].any(axis=0) if chosen else np.zeros(len(targets), bool)
+    covered = matrix[chosen].any(axis=0) if chosen else np.zeros(len(targets.points), bool)
     return LocalStep(
-        viewpoints=views, unseen=_patches(targets, area, covered, matrix, usable), model=model,
-        targets=targets, gains=tuple(gains),
+        viewpoints=views, unseen=_patches(targets, covered, matrix, arm), model=model,
+        targets=targets.points, gains=tuple(gains),
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Targets:
+    """What is to be seen: places, the side they open to, and the surface expected there."""
+
+    points: np.ndarray
+    normals: np.ndarray
+    areas: np.ndarray
+
+
+def _scene(model: ClosedModel, table_radius: float, table_z: float) -> Scene:
+    """The measured part of the model blocks sight; the guessed part only beyond its own uncertainty."""
+    near = model.distance <= 1.2 * model.cell
+    scene = scene_from(model.vertices, model.triangles[near], table_radius=table_radius, table_z=table_z)
+    guess = scene_from(model.vertices, model.triangles[~near]) if not near.all() else None
+    return replace(scene, guess=None if guess is None else guess.raycaster)
 
 
 def _targets(
     model: ClosedModel,
-    scene: Scene,
-    scanner: Scanner,
-    frames: np.ndarray | None,
+    frontier: Frontier | None,
     options: SelectOptions,
     table_z: float,
     rng: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Points spread by area over what is unseen, their normals, and the area that each stands for."""
+) -> _Targets:
+    """The frontier's cells, and points spread by area over what the model only guesses."""
     cross = model.crosses
     twice = np.linalg.norm(cross, axis=1)
     edges = np.cumsum(twice)
@@ -163,123 +166,21 @@ def _targets(
     points, normals = model.centres[pick], cross[pick] / np.maximum(twice[pick, None], 1e-300)
     # What faces the table from less than a cell above stands on it.
     base = (points[:, 2] < table_z + model.cell) & (normals[:, 2] < -0.93)
-    far = model.distance[pick] > max(options.gap, 1.2 * model.cell)
-    unseen = far
-    if frames is not None:
-        known = base | far
-        seen = seen_by_any(scene, scanner, frames, points, normals, seen=known)
-        unseen = far | ~seen
-    index = np.flatnonzero(unseen & ~base)
-    area = float(edges[-1] / 2 / options.probes)
-    if len(index) > options.targets:
-        area *= len(index) / options.targets
-        index = index[np.linspace(0, len(index) - 1, options.targets).astype(int)]
-    return points[index], normals[index], area
-
-
-def _spread(points: np.ndarray, most: int) -> np.ndarray:
-    """Indices of at most `most` points, each the farthest from those before it."""
-    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
-    distance = np.linalg.norm(points - points[chosen[0]], axis=1)
-    while len(chosen) < min(most, len(points)) and distance.max() > 0.012:
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return np.array(chosen)
-
-
-def _candidates(
-    scene: Scene,
-    scanner: Scanner,
-    model: ClosedModel,
-    targets: np.ndarray,
-    normals: np.ndarray,
-    holes: Sequence[Hole],
-    options: SelectOptions,
-    table_radius: float,
-    table_z: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Poses with a free line to their seed, (n, 4, 4), and which of them are revolutions, (n,)."""
-    seeds = _spread(targets, options.seeds)
-    aims = np.concatenate([targets[seeds], *(h.center[None] for h in holes[:40])])
-    faces = np.concatenate([normals[seeds], *(h.normal[None] for h in holes[:40])])
-    cone = hemisphere(int(options.directions / (1 - np.cos(_CONE))))
-    cone = np.vstack([[0, 0, 1.0], cone[cone[:, 2] >= np.cos(_CONE)]])
-    x, y = tangents(faces)
-    u = cone[None, :, :1] * x[:, None] + cone[None, :, 1:2] * y[:, None] + cone[None, :, 2:] * faces[:, None]
-    poses = []
-    start = aims + 0.001 * faces
-    for d in options.standoffs:
-        eye = aims[:, None] + d * u
-        i, j = np.nonzero(_standing(eye, table_radius, table_z))
-        free = free_lines(scene, start[i], eye[i, j])
-        poses += [
-            look_at(eye[a, b], -u[a, b], roll=roll)
-            for a, b in zip(i[free], j[free], strict=True)
-            for roll in options.rolls
-        ]
-    poses += _low(scene, aims, faces, start, table_radius, table_z)
-    stations = np.array(poses).reshape(-1, 4, 4)
-    if len(stations) > options.candidates:
-        stations = stations[np.linspace(0, len(stations) - 1, options.candidates).astype(int)]
-    # The projector must stand above the table too.
-    stations = stations[stations[:, 2, 3] + scanner.baseline * stations[:, 2, 0] > table_z + 0.01]
-    turns = _revolutions(model, scanner, table_radius, table_z)
-    kinds = np.concatenate([np.zeros(len(stations), bool), np.ones(len(turns), bool)])
-    return np.concatenate([stations, turns]), kinds
-
-
-def _standing(eye: np.ndarray, table_radius: float, table_z: float) -> np.ndarray:
-    """Where an eye (..., 3) can be: well above the table, or beside it and hardly below its top."""
-    beside = np.linalg.norm(eye[..., :2], axis=-1) > table_radius + 0.1
-    return eye[..., 2] > table_z + np.where(beside, 0.015, 0.08)
-
-
-def _low(
-    scene: Scene,
-    aims: np.ndarray,
-    faces: np.ndarray,
-    start: np.ndarray,
-    table_radius: float,
-    table_z: float,
-) -> list[np.ndarray]:
-    """Eyes beside the table that look up under what faces down."""
-    poses = []
-    azimuth = 2 * np.pi * np.arange(24) / 24
-    ring = np.column_stack([np.cos(azimuth), np.sin(azimuth)])
-    for height in (0.02, 0.07, 0.13):
-        eye = np.empty((len(aims), 24, 3))
-        eye[..., :2] = ring * (table_radius + 0.17)
-        eye[..., 2] = table_z + height
-        line = eye - aims[:, None]
-        distance = np.linalg.norm(line, axis=2)
-        ok = (distance < 0.97) & (distance > 0.45)
-        ok &= np.einsum("ijk,ik->ij", line, faces) > 0.36 * distance
-        i, j = np.nonzero(ok)
-        free = free_lines(scene, start[i], eye[i, j])
-        poses += [
-            look_at(eye[a, b], -line[a, b], roll=UPRIGHT) for a, b in zip(i[free], j[free], strict=True)
-        ]
-    return poses
-
-
-def _revolutions(model: ClosedModel, scanner: Scanner, table_radius: float, table_z: float) -> np.ndarray:
-    """Whole turns at many inclinations, offsets, distances, heights and both rolls, shape (n, 4, 4)."""
-    radius = float(np.linalg.norm(model.vertices[:, :2], axis=1).max())
-    top = float(model.vertices[:, 2].max())
-    near, far = scanner.range
-    poses = []
-    for tilt in np.deg2rad([-20.0, -8.0, 5.0, 18.0, 32.0, 46.0, 60.0, 75.0]):
-        close = near + radius * np.cos(tilt) + 0.03
-        for distance in (close, max(0.95 * far, close)):
-            for aim in (0.2, 0.5, 0.8):
-                for yaw in np.deg2rad([-30.0, -15.0, 0.0, 15.0, 30.0]):
-                    for roll in (0.0, UPRIGHT):
-                        X = oblique_turn(
-                            tilt, yaw, aim * top, distance, radius=radius, floor=table_z + 0.02, roll=roll
-                        )
-                        if _standing(X[:3, 3], table_radius, table_z):
-                            poses.append(X)
-    return np.array(poses).reshape(-1, 4, 4)
+    gap = options.gap if frontier is None else options.wide_gap
+    far = np.flatnonzero((model.distance[pick] > max(gap, 1.2 * model.cell)) & ~base)
+    points, normals = points[far], normals[far]
+    areas = np.full(len(far), edges[-1] / 2 / options.probes)
+    if frontier is not None:
+        lifted = frontier.points[:, 2] > table_z + 2.5 * frontier.edge
+        free_side = frontier.points[lifted] + frontier.edge * frontier.normals[lifted]
+        points = np.concatenate([points, free_side])
+        normals = np.concatenate([normals, frontier.normals[lifted]])
+        areas = np.concatenate([areas, np.full(int(lifted.sum()), frontier.edge**2)])
+    if len(points) > options.targets:
+        share = len(points) / options.targets
+        index = np.linspace(0, len(points) - 1, options.targets).astype(int)
+        points, normals, areas = points[index], normals[index], areas[index] * share
+    return _Targets(points, normals, areas)
 
 
 def _scores(
@@ -287,22 +188,36 @@ def _scores(
     scanner: Scanner,
     poses: np.ndarray,
     kinds: np.ndarray,
-    targets: np.ndarray,
-    normals: np.ndarray,
+    targets: _Targets,
 ) -> np.ndarray:
     """Which candidate sees which target, shape (n, m)."""
-    matrix = np.zeros((len(poses), len(targets)), bool)
-    matrix[~kinds] = sees(scene, scanner, poses[~kinds], targets, normals)
-    for n in np.flatnonzero(kinds):
-        matrix[n] = seen_by_any(scene, scanner, revolution_poses(poses[n], 30), targets, normals)
+    matrix = np.zeros((len(poses), len(targets.points)), bool)
+    matrix[~kinds] = sees(scene, scanner, poses[~kinds], targets.points, targets.normals)
+    matrix[kinds] = turns_see(scene, scanner, poses[kinds], targets.points, targets.normals, poses=_TURN)
     return matrix
 
 
+class _Arm:
+    """What the arm reaches of the candidates, asked for only where it matters."""
+
+    def __init__(self, poses: np.ndarray, reachable: Reachable | None) -> None:
+        self._poses, self._reachable = poses, reachable
+        self.known = np.full(len(poses), reachable is None)
+        self.reached = np.full(len(poses), reachable is None)
+
+    def ask(self, index: np.ndarray) -> None:
+        index = index[~self.known[index]]
+        if len(index) and self._reachable is not None:
+            self.reached[index] = self._reachable(self._poses[index])
+            self.known[index] = True
+
+
 def _chosen(
-    usable: np.ndarray,
-    area: float,
+    matrix: np.ndarray,
+    areas: np.ndarray,
     poses: np.ndarray,
     kinds: np.ndarray,
+    arm: _Arm,
     least: float,
     seconds: float,
     most: int,
@@ -313,21 +228,25 @@ def _chosen(
     before the arm, so that only radius and height of the scanner count.
     """
     place = np.column_stack([np.linalg.norm(poses[:, :2, 3], axis=1), poses[:, 2, 3]])
-    base = np.where(kinds, REVOLUTION_S, STATION_S)
-    gaining = np.flatnonzero(usable.any(axis=1))
-    table = usable[gaining].astype(np.float32)
+    gaining = np.flatnonzero(matrix.any(axis=1))
+    table = matrix[gaining].astype(np.float32)
+    base = np.where(kinds, REVOLUTION_S, STATION_S)[gaining]
     way = np.full(len(gaining), 0.3)
-    open_, rows, gains, spent = np.ones(usable.shape[1], np.float32), [], [], 0.0
+    open_, rows, gains, spent = areas.astype(np.float32), [], [], 0.0
     while len(gaining) and len(rows) < most:
-        gain = (table @ open_) * area
-        cost = base[gaining] + SECONDS_PER_METRE * way
-        best = int(np.argmax(gain / cost))
-        if gain[best] < least * cost[best] or spent + cost[best] > seconds:
+        gain = table @ open_
+        cost = base + SECONDS_PER_METRE * way
+        rate = np.where(arm.known[gaining] & ~arm.reached[gaining], -1.0, gain / cost)
+        best = int(np.argmax(rate))
+        if rate[best] < least or spent + cost[best] > seconds:
             break
+        if not arm.known[gaining[best]]:
+            arm.ask(gaining[np.argsort(-rate, kind="stable")[:_ASKED]])
+            continue
         rows.append(int(gaining[best]))
         gains.append(float(gain[best]))
         spent += float(cost[best])
-        open_[usable[rows[-1]]] = 0.0
+        open_[matrix[rows[-1]]] = 0.0
         way = np.minimum(way, np.linalg.norm(place[gaining] - place[rows[-1]], axis=1))
     return rows, gains
 
@@ -340,13 +259,13 @@ def _view(X_OS: np.ndarray, turns: bool, name: str, gain: float) -> Viewpoint:
     )  # fmt: skip
 
 
-def _patches(
-    targets: np.ndarray, area: float, covered: np.ndarray, matrix: np.ndarray, usable: np.ndarray
-) -> tuple[Patch, ...]:
+def _patches(targets: _Targets, covered: np.ndarray, matrix: np.ndarray, arm: _Arm) -> tuple[Patch, ...]:
     """What is left, gathered by place and reason."""
     from scipy.cluster.hierarchy import fcluster, linkage
 
     left = np.flatnonzero(~covered)
+    arm.ask(np.flatnonzero(matrix[:, left].any(axis=1))[: 20 * _ASKED])
+    usable = matrix & (arm.reached | ~arm.known)[:, None]
     reasons = np.where(~matrix.any(axis=0), 0, np.where(~usable.any(axis=0), 1, 2))[left]
     names = ("cannot be seen", "cannot be reached", "not worth its seconds")
     patches = []
@@ -356,8 +275,9 @@ def _patches(
             continue
         label = np.ones(1, int)
         if len(members) > 1:
-            label = fcluster(linkage(targets[members], "single"), 0.02, "distance")
+            label = fcluster(linkage(targets.points[members], "single"), 0.02, "distance")
         for k in np.unique(label):
-            group = targets[members[label == k]]
-            patches.append(Patch(center=group.mean(axis=0), area=float(len(group) * area), reason=name))
+            group = members[label == k]
+            center, area = targets.points[group].mean(axis=0), float(targets.areas[group].sum())
+            patches.append(Patch(center=center, area=area, reason=name))
     return tuple(sorted(patches, key=lambda p: -p.area))
