@@ -459,3 +459,42 @@ def test_significant_loops_of_real_scans(name: str, count: int, shared_data) -> 
     assert len(report.holes) == count
     assert np.allclose(sorted(1e3 * hole.perimeter for hole in report.holes), significant, atol=0.01)
     assert len(report.holes) + len(report.tiny) == truth["n_loops"]
+
+
+def range_scans(folder, names) -> tuple[np.ndarray, np.ndarray]:
+    """Merged range scans in the object's frame [m] and the directions to their sensors."""
+    import open3d as o3d
+
+    poses = json.loads((folder / "poses.json").read_text())["scans"]
+    points, toward = [], []
+    for name in names:
+        X = np.array(poses[name]["T_object_scan"])
+        own = np.asarray(o3d.io.read_point_cloud(str(folder / name)).points)
+        points.append((own @ X[:3, :3].T + X[:3, 3]) * 1e-3)
+        toward.append(np.tile(-np.array(poses[name]["nominal_view_direction"]), (len(own), 1)))
+    return np.concatenate(points), np.concatenate(toward)
+
+
+def test_range_scans_show_what_they_did_not_see(shared_data) -> None:
+    """Four scans: each unseen patch lies in a hole. All ten: the five loops of the real object, no more."""
+    folder = shared_data / "bunny_range_scans"
+    truth = json.loads((folder / "coverage_gt.json").read_text())["subset_4"]
+    points, toward = range_scans(folder, truth["scans"])
+    holes = holes_from_cloud(points, view_directions=toward).holes
+    for patch in truth["patches"]:
+        centre, reach = 1e-3 * np.array(patch["centre"]), 0.5e-3 * patch["equiv_diameter_mm"]
+        assert any(np.linalg.norm(hole.boundary - centre, axis=1).min() < reach + 0.012 for hole in holes)
+    assert len(holes) <= len(truth["patches"]) + 1
+
+
+@pytest.mark.slow
+def test_all_range_scans_leave_the_true_openings(shared_data) -> None:
+    folder = shared_data / "bunny_range_scans"
+    names = json.loads((folder / "poses.json").read_text())["scans"]
+    points, toward = range_scans(folder, names)
+    holes = holes_from_cloud(points, view_directions=toward).holes
+    truth = json.loads((shared_data / "gt" / "stanford_bunny_loops.json").read_text())
+    real = [1e-3 * np.array(loop["centre"]) for loop in truth["loops"] if loop["significant"]]
+    assert len(holes) == len(real) == 5
+    for centre in real:
+        assert min(np.linalg.norm(hole.center - centre) for hole in holes) < 0.02

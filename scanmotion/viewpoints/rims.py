@@ -26,15 +26,19 @@ EVEN, RANDOM = 1.05, 2.3
 FOLDED, BENT = 0.42, 0.6
 """Thickness of a neighbourhood, in pitches, from which it may have no tangent plane (a right angle has 0.45),
 and from which it surely has none."""
+CREASED, CROWDED = 0.2, 0.97
+"""Share of folded points from which a rim must look at another part of it and must not be denser than what is
+around it, as sheets that meet are."""
 TINY = 8.0
 """Samples missing in a gap that is worth a word."""
 OPEN = 1.43
 """Radius of a wide empty disc, in pitches: half of those at a patch thinned by half are under 1.37."""
 CORE = 20.0
 """Samples missing at the wide discs of a hole that is worth a viewpoint; more where sampling is random."""
-THIN, DOUBT, SURE = 1.06, 25.0, 0.03
-"""Pitch at a rim against that around it from which the patch may only be thinner; the further samples that
-must then be missing; and the range of the pitch over which they are asked for."""
+THIN, SURE = 1.06, 1.09
+"""Pitch at a rim against that around it from which the patch may be, and surely is, thinner."""
+DOUBT = 25.0
+"""Further samples that must be missing in a thin patch: a third if most discs are wide, twice if folded."""
 AROUND = 20.0
 """Pitches around a rim that tell the usual pitch there."""
 HALF = 0.5
@@ -123,18 +127,23 @@ def _open_rim(sampling: Sampling, found: RimSet, group: np.ndarray, usual: float
 
     A patch that is only thinner has narrow gaps throughout, and its pitch is wider than that around it: what
     is missing near its wide discs must then be more. Where a cloud gets sparse towards a hole, narrow gaps
-    fray its rim and are left out. A rim of which most is folded is the crease between two sheets.
+    fray its rim and are left out.
     """
     index = found.points[group]
-    if (sampling.fold[index] > FOLDED).mean() > HALF:
-        return None
     missing = float(found.missing[found.label[group[0]]])
     wide = found.reach[group] > max(OPEN, 1.21 * usual)
+    if not wide.any():
+        return None
+    sparse = _sparseness(sampling, index)
+    folded = float((sampling.fold[index[wide]] > FOLDED).mean())
+    if _is_crease(sampling, index[wide], found.opening[group[wide]], folded, sparse):
+        return None
+    frayed = wide.mean() < 0.5
+    thin = (sparse - 0.4 * max(usual - EVEN, 0.0) - THIN) / (SURE - THIN)
+    doubt = DOUBT * (1.0 if frayed else 1.0 / 3.0) * (2.0 if folded > CREASED else 1.0)
     core = float(found.excess[group][wide].sum())
-    needed = CORE * max(1.0, 1.08 * usual / LEAST) ** 2
-    over = _sparseness(sampling, index) - THIN - 0.4 * max(usual - EVEN, 0.0)
-    needed += DOUBT * float(np.clip(over / SURE, 0.0, 1.0))
-    if wide.mean() < 0.5:
+    needed = CORE * max(1.0, 1.08 * usual / LEAST) ** 2 + doubt * float(np.clip(thin, 0.0, 1.0))
+    if frayed:
         if core < needed:
             return None
         points = sampling.points[index]
@@ -144,6 +153,18 @@ def _open_rim(sampling: Sampling, found: RimSet, group: np.ndarray, usual: float
     return Rim(
         points=found.points[group], opening=found.opening[group], missing=missing, plain=core >= needed
     )
+
+
+def _is_crease(
+    sampling: Sampling, index: np.ndarray, opening: np.ndarray, folded: float, sparse: float
+) -> bool:
+    """Whether points at wide discs are where sheets meet.
+
+    They are if most are folded, or if some are and they look at nothing or are denser than what is around.
+    """
+    if folded <= CREASED:
+        return False
+    return folded > HALF or sparse < CROWDED or facing(sampling.points[index], opening) < HALF
 
 
 def _sparseness(sampling: Sampling, index: np.ndarray) -> float:
