@@ -53,11 +53,16 @@ def rays_of(
     return out
 
 
-def cast(scene: Scene, rays: list[np.ndarray]) -> float:
-    begin = time.perf_counter()
+def clocks() -> np.ndarray:
+    """Wall and processor seconds; the latter of all threads."""
+    return np.array([time.perf_counter(), time.process_time()])
+
+
+def cast(scene: Scene, rays: list[np.ndarray]) -> np.ndarray:
+    begin = clocks()
     for r in rays:
         scene.raycaster.cast_rays(r)["t_hit"].numpy()
-    return time.perf_counter() - begin
+    return clocks() - begin
 
 
 def peak() -> float:
@@ -89,18 +94,18 @@ def main() -> int:
     before = peak()
     seconds, scan, cloud = [], few, fuse([few])
     for turn in range(a.turns):
-        begin = time.perf_counter()
+        begin = clocks()
         scan = scanned(captures)
-        middle = time.perf_counter()
+        middle = clocks()
         cloud = fuse([scan])
-        row = [middle - begin, time.perf_counter() - middle]
+        row = [middle - begin, clocks() - middle]
         if turn == 0:
             memory = peak() - before
             every, inside = (rays_of(scene, scanner, captures, a.stride, hull=h) for h in (False, True))
         seconds.append([*row, cast(scene, every), cast(scene, inside)])
     twin, fusing, alone, hull = np.median(seconds, axis=0)
     asked, kept = sum(map(len, every)), sum(map(len, inside))
-    print(f"{'':28}{'rays':>12}{'seconds':>10}{'rays/s':>12}")
+    print(f"{'':28}{'rays':>12}{'seconds':>10}{'rays/s':>12}{'processor s':>13}")
     for name, n, s in (
         ("scanmotion simulate", scan.rays, twin), ("cast_rays, every pixel", asked, alone),
         ("cast_rays, pixels on the part", kept, hull),

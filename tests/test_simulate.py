@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from scanmotion.errors import InputError
 from scanmotion.part import Part, surface_samples
 from scanmotion.scan.captures import motion, true_poses, turned
-from scanmotion.scan.kernels import hull_rows
+from scanmotion.scan.kernels import frame_rays, hull_rows, surely_lit
 from scanmotion.scan.simulate import (
     Captures,
     ScanErrors,
+    _spans,
     captures_from_trajectory,
     simulate,
     still_captures,
@@ -397,3 +398,44 @@ def test_frames_are_taken_while_operations_scan():
     assert len(none) == 0
     with pytest.raises(InputError):
         captures_from_trajectory(trajectory(), poses_of, fps=0, X_WT=np.eye(4), X_TO=np.eye(4))
+
+
+def test_ways_that_need_no_shadow_ray_are_lit(lump):
+    """Against shadow rays for every hit: what is sure is lit, and most of what is lit is sure."""
+    scanner = replace(SCANNER, rays=(212, 148))
+    scene = scene_from(lump.vertices, lump.triangles)
+    lit_count = sure_count = wrong = 0
+    for angle in np.linspace(0, 2 * np.pi, 9):
+        for height in (0.05, 0.5):
+            p = np.array([0.5 * np.cos(angle), 0.5 * np.sin(angle), height])
+            X = look_at(p, np.array([0, 0, 0.1]) - p)
+            pairs = zip(scanner.fov, scanner.rays, strict=True)
+            columns, rows = (np.tan(f / 2) * np.linspace(-1, 1, n) for f, n in pairs)
+            low, high = _spans(X, rows, scene.outline)
+            rays, column, row = frame_rays(X, columns, rows, low, high)
+            depth = scene.raycaster.cast_rays(rays)["t_hit"].numpy()
+            hit = np.isfinite(depth)
+            eye = X[:3, 3] + scanner.baseline * X[:3, 0]
+            way = rays[:, :3] + np.where(hit, depth, 1.0)[:, None] * rays[:, 3:] - eye
+            shadow = np.hstack([np.tile(eye, (len(way), 1)), way]).astype(np.float32)
+            lit = hit & ~scene.raycaster.test_occlusions(shadow, tnear=0.0, tfar=1 - 3e-4).numpy()
+            sure = surely_lit(depth, column, row, columns, high, scanner.baseline)
+            lit_count, sure_count, wrong = (
+                lit_count + lit.sum(),
+                sure_count + sure.sum(),
+                wrong + (sure & ~lit).sum(),
+            )
+    assert wrong <= 1e-4 * lit_count
+    assert sure_count > 0.7 * lit_count
+
+
+def test_nothing_is_sure_where_the_part_leaves_the_field():
+    mesh = plate(0.7, 1.0)
+    X = np.eye(4)
+    columns, rows = np.linspace(-0.2, 0.2, 31), np.linspace(-0.2, 0.2, 21)
+    outline = mesh[0]
+    low, high = _spans(X, rows, outline)
+    rays, column, row = frame_rays(X, columns, rows, low, high)
+    depth = scene_from(*mesh).raycaster.cast_rays(rays)["t_hit"].numpy()
+    assert not surely_lit(depth, column, row, columns, high, 0.15).any()
+    assert surely_lit(depth, column, row, columns, np.full(21, 0.2), 0.15).all()

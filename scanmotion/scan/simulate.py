@@ -19,7 +19,7 @@ from scanmotion.scan.captures import (
     still_captures,
     true_poses,
 )
-from scanmotion.scan.kernels import frame_rays, hull_rows, lit_hits, placed
+from scanmotion.scan.kernels import frame_rays, hull_rows, lit_hits, placed, surely_lit
 from scanmotion.scanner import Scanner
 from scanmotion.viewpoints.coverage import Scene, scene_from, seen_by_any
 
@@ -174,14 +174,27 @@ def _range_frame(
         return np.zeros(0, np.float32), np.zeros(0, np.float32), column, row
     hit = scene.raycaster.cast_rays(rays)
     depth = hit["t_hit"].numpy()
+    p_OP = X_OS[:3, 3] + scanner.baseline * X_OS[:3, 0]
     index, cosine, shadow = lit_hits(
-        rays, depth, hit["geometry_ids"].numpy(), hit["primitive_normals"].numpy(),
-        X_OS[:3, 3] + scanner.baseline * X_OS[:3, 0], *scanner.range, np.cos(scanner.max_incidence), 0,
+        rays, depth, hit["geometry_ids"].numpy(), hit["primitive_normals"].numpy(), p_OP, *scanner.range,
+        np.cos(scanner.max_incidence), 0,
     )  # fmt: skip
-    if len(index):
-        lit = ~scene.raycaster.test_occlusions(shadow, tnear=0.0, tfar=_SHADOW_END).numpy()
-        index, cosine = index[lit], cosine[lit]
+    lit = np.zeros(len(index), bool)
+    if scanner.baseline > 0 and _only_part_shades(scene, p_OP):
+        lit = surely_lit(depth, column, row, columns, high, scanner.baseline)[index]
+    doubtful = np.flatnonzero(~lit)
+    if len(doubtful):
+        rays = shadow[doubtful]
+        lit[doubtful] = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=_SHADOW_END).numpy()
+    index, cosine = index[lit], cosine[lit]
     return depth[index], cosine, column[index], row[index]
+
+
+def _only_part_shades(scene: Scene, p_OP: np.ndarray) -> bool:
+    """Whether table and pedestal, both below z = 0 of O, lie off every way from the part to the projector."""
+    if scene.outline is None:
+        return False
+    return not np.isfinite(scene.table_z) or bool(p_OP[2] > 0 and scene.outline[:, 2].min() > -1e-5)
 
 
 def _spans(X_OS: np.ndarray, rows: np.ndarray, outline: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
