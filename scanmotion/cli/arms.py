@@ -91,27 +91,55 @@ def find(settings: Any, subject: Any, views: tuple, progress: Progress) -> list:
     return find_reach(build_cell(settings, subject), views, progress=lambda f: progress("reach", f))
 
 
-def sweep_rows(settings: Any, subject: Any, views: tuple, progress: Progress) -> list[dict[str, float]]:
-    """Share of the viewpoints that can be reached, over the table's distance from the base and its height."""
+def sweep_rows(
+    settings: Any, subject: Any, views: tuple, progress: Progress
+) -> list[dict[str, float | None]]:
+    """Share of the viewpoints that can be reached, over the table's distance from the base and its height.
+
+    The table is moved along the line from base to table; the share is None where the cell cannot be so.
+    """
     rows, total = [], len(DISTANCES_M) * len(HEIGHTS_M)
     for distance in DISTANCES_M:
         for height in HEIGHTS_M:
             progress("reach", len(rows) / total)
-            x, y, _ = settings.base.position_m
-            place = {"position_m": (x + distance, y), "height_m": height}
-            moved = settings.model_copy(update={"turntable": settings.turntable.model_copy(update=place)})
-            found = find(moved, subject, views, lambda stage, fraction: None)
-            share = sum(r.unreachable is None for r in found) / max(len(found), 1)
+            share = _share(moved_table(settings, distance, height), subject, views)
             rows.append({"distance_m": distance, "height_m": height, "share": share})
     return rows
 
 
-def _say_sweep(rows: list[dict[str, float]], *, quiet: bool, json: bool) -> None:
+def moved_table(settings: Any, distance: float, height: float) -> Any:
+    """Settings with the table `distance` from the base on its present side and `height` high [m]."""
+    import math
+
+    (bx, by, _), (tx, ty) = settings.base.position_m, settings.turntable.position_m
+    angle = math.atan2(ty - by, tx - bx)
+    place = (bx + distance * math.cos(angle), by + distance * math.sin(angle))
+    table = settings.turntable.model_copy(update={"position_m": place, "height_m": height})
+    return settings.model_copy(update={"turntable": table})
+
+
+def _share(settings: Any, subject: Any, views: tuple) -> float | None:
+    from scanmotion.cell.plant import build_cell
+    from scanmotion.errors import CellError
+    from scanmotion.motion.reach import ReachOptions
+    from scanmotion.motion.reach import reach as find_reach
+
+    try:
+        cell = build_cell(settings, subject)
+    except CellError:
+        return None
+    found = find_reach(cell, views, options=ReachOptions(most=1, remedies=False))
+    return sum(r.unreachable is None for r in found) / max(len(found), 1)
+
+
+def _say_sweep(rows: list[dict[str, float | None]], *, quiet: bool, json: bool) -> None:
     if json:
         say_json(rows)
     elif not quiet:
         header = ("base to table m", *(f"table at {height} m" for height in HEIGHTS_M))
-        share = {(r["distance_m"], r["height_m"]): f"{r['share']:.0%}" for r in rows}
+        share = {
+            (r["distance_m"], r["height_m"]): "-" if r["share"] is None else f"{r['share']:.0%}" for r in rows
+        }
         lines = [(f"{d}", *(share[d, h] for h in HEIGHTS_M)) for d in DISTANCES_M]
         print_table("Share of the viewpoints that can be reached", header, lines)
 
@@ -140,10 +168,16 @@ def reach_record(item: Any) -> dict[str, Any]:
         "id": item.viewpoint.id,
         "configurations": len(item.q),
         "clearance_mm": round(float(item.clearance.max()) * 1e3, 1) if len(item.q) else None,
+        "manipulability": round(float(item.manipulability.max()), 3) if len(item.q) else None,
         "unreachable": None
         if lost is None
-        else {"cause": lost.cause, "detail": lost.detail, "remedy": lost.remedy},
+        else {"cause": lost.cause, "detail": lost.detail, "remedy": lost.remedy, **_change(lost.change)},
     }
+
+
+def _change(change: Any) -> dict[str, float]:
+    """The remedy as numbers: by how much the pedestal grows and the table goes away."""
+    return {} if change is None else {"raise_m": change.raise_m, "shift_m": change.shift_m}
 
 
 def reach_row(item: Any) -> tuple[str, ...]:
