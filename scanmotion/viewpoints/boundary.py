@@ -13,11 +13,8 @@ from scipy.spatial import cKDTree
 
 from scanmotion.compiled import njit, prange
 from scanmotion.errors import HoleError
+from scanmotion.viewpoints.gaps import exceeds_gap
 from scanmotion.viewpoints.orient import signs_by_spanning_tree
-
-FIRST = 24
-"""Neighbours that are tried before all of them: more neighbours only ever divide gaps."""
-_CHUNK = 1 << 17
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -154,8 +151,7 @@ def boundary_points(
 ) -> np.ndarray:
     """Which points lie on a boundary: those with an angle over `threshold` free of neighbours.
 
-    Exactly the test over all neighbours within `radius`, at the cost of 24: rows that pass with their nearest
-    24 are interior whatever the others are; only the rest is tried again with all.
+    The test takes all neighbours within `radius`, however many.
 
     Args:
         points: cloud, shape (n, 3) [m].
@@ -174,76 +170,6 @@ def boundary_points(
     normals = check_unit(normals, len(points), "normals")
     if radius is not None and not (np.isfinite(radius) and radius > 0):
         raise HoleError(f"radius must be positive, got {radius}")
-    tree = cKDTree(points)
     if radius is None:
-        radius = neighbour_radius(tree, neighbours)
-    first = min(FIRST + 1, len(points))
-    mask = np.zeros(len(points), bool)
-    for start in range(0, len(points), _CHUNK):
-        rows = np.arange(start, min(start + _CHUNK, len(points)))
-        near = tree.query(points[rows], first, distance_upper_bound=np.nextafter(radius, np.inf), workers=-1)[
-            1
-        ]
-        flagged = _largest_gaps(points, normals, rows, near) > threshold
-        again = rows[flagged & (near[:, -1] < len(points))]
-        if len(again) and first < len(points):
-            flagged[again - start] = _gaps_within(tree, points, normals, again, radius) > threshold
-        mask[rows] = flagged
-    return mask
-
-
-def _gaps_within(tree, points, normals, rows, radius) -> np.ndarray:
-    """Largest gaps of `rows` over all neighbours within the radius."""
-    gaps = np.zeros(len(rows))
-    for start in range(0, len(rows), _CHUNK // 8):
-        part = rows[start : start + _CHUNK // 8]
-        lists = tree.query_ball_point(points[part], radius, workers=-1)
-        count = np.fromiter((len(one) for one in lists), np.int64, len(lists))
-        flat = np.concatenate(lists).astype(np.int64)
-        ends = np.cumsum(count)
-        gaps[start : start + len(part)] = _largest_gaps_ragged(points, normals, part, flat, ends)
-    return gaps
-
-
-@njit(cache=True)
-def _largest_gap(points, p, n, row, angles):
-    """Largest angle between neighbours in the tangent plane of point p [rad]; 2 pi with fewer than two."""
-    s = 1.0 if n[2] >= 0.0 else -1.0
-    a = -1.0 / (s + n[2])
-    b = n[0] * n[1] * a
-    ux, uy, uz = 1.0 + s * n[0] * n[0] * a, s * b, -s * n[0]
-    vx, vy, vz = b, s + n[1] * n[1] * a, -n[1]
-    m = 0
-    for j in row:
-        if j == p or j >= len(points):
-            continue
-        dx, dy, dz = points[j, 0] - points[p, 0], points[j, 1] - points[p, 1], points[j, 2] - points[p, 2]
-        x, y = dx * ux + dy * uy + dz * uz, dx * vx + dy * vy + dz * vz
-        if x * x + y * y <= 1e-18 * (dx * dx + dy * dy + dz * dz):
-            continue
-        angles[m] = np.arctan2(y, x)
-        m += 1
-    if m < 2:
-        return 2.0 * np.pi
-    angles[:m].sort()
-    gap = angles[0] + 2.0 * np.pi - angles[m - 1]
-    for k in range(1, m):
-        gap = max(gap, angles[k] - angles[k - 1])
-    return gap
-
-
-@njit(cache=True, parallel=True)
-def _largest_gaps(points, normals, rows, near):
-    out = np.zeros(len(rows))
-    for i in prange(len(rows)):
-        out[i] = _largest_gap(points, rows[i], normals[rows[i]], near[i], np.empty(near.shape[1]))
-    return out
-
-
-@njit(cache=True, parallel=True)
-def _largest_gaps_ragged(points, normals, rows, flat, ends):
-    out = np.zeros(len(rows))
-    for i in prange(len(rows)):
-        row = flat[(ends[i - 1] if i else 0) : ends[i]]
-        out[i] = _largest_gap(points, rows[i], normals[rows[i]], row, np.empty(len(row)))
-    return out
+        radius = neighbour_radius(cKDTree(points), neighbours)
+    return exceeds_gap(points, normals, radius, threshold)
