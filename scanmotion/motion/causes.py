@@ -1,7 +1,7 @@
 """Why a viewpoint cannot be reached, by how much, and what would mend it."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -60,13 +60,20 @@ class Unreachable:
     cause: Cause
     detail: str
     """Evidence: which way and how far, which joint, which pair of bodies."""
-    remedy: str
+    remedy: str = "what would mend it was not looked for"
     """What was found to mend it, or that nothing tried does."""
     change: Change | None = None
     """The change of the layout that mends it, found by reaching the viewpoint there; None for none."""
 
     def __str__(self) -> str:
         return f"{self.cause.replace('_', ' ')}: {self.detail}; {self.remedy}"
+
+    def mended_by(self, change: Change | None) -> "Unreachable":
+        """The same reason with the outcome of the search for a remedy."""
+        remedy = "no pedestal height or table distance that was tried mends it"
+        if change is not None:
+            remedy = f"{change} brings it into reach"
+        return replace(self, remedy=remedy, change=change)
 
 
 class Remedies:
@@ -75,11 +82,14 @@ class Remedies:
     Args:
         cell: the cell.
         clearance: its checker.
-        serves: whether a viewpoint is reached in another cell.
+        serves: which of some viewpoints are reached in another cell, shape (n,).
     """
 
     def __init__(
-        self, cell: Cell, clearance: Clearance, serves: Callable[[Cell, Clearance, Viewpoint], bool]
+        self,
+        cell: Cell,
+        clearance: Clearance,
+        serves: Callable[[Cell, Clearance, list[Viewpoint]], np.ndarray],
     ) -> None:
         self._cell, self._clearance, self._serves = cell, clearance, serves
         lifts = sorted([*_LIFTS_M, *(-v for v in _LIFTS_M if v < cell.settings.pedestal.height_m)], key=abs)
@@ -96,13 +106,18 @@ class Remedies:
                 self._made[change] = None
         return self._made[change]
 
-    def of(self, viewpoint: Viewpoint) -> Change | None:
-        """The first change in which the viewpoint is reached."""
+    def of(self, viewpoints: Sequence[Viewpoint]) -> list[Change | None]:
+        """For each viewpoint the first change in which it is reached."""
+        found: list[Change | None] = [None] * len(viewpoints)
         for change in self._changes:
-            layout = self._layout(change)
-            if layout is not None and self._serves(*layout, viewpoint):
-                return change
-        return None
+            todo = [n for n, known in enumerate(found) if known is None]
+            layout = self._layout(change) if todo else None
+            if layout is None:
+                continue
+            served = self._serves(*layout, [viewpoints[n] for n in todo])
+            for n, yes in zip(todo, served, strict=True):
+                found[n] = change if yes else None
+        return found
 
 
 def cause_of(
@@ -112,7 +127,6 @@ def cause_of(
     X_WS: np.ndarray,
     table: np.ndarray,
     q: np.ndarray,
-    remedies: Remedies | None = None,
 ) -> Unreachable:
     """The cause nearest to being mended.
 
@@ -123,19 +137,12 @@ def cause_of(
         X_WS: poses that were tried, shape (n, 4, 4).
         table: the table angle of each, shape (n,) [rad].
         q: configurations inside the limits, all blocked, shape (m, 7); (0, 7) where there are none.
-        remedies: the changes to try; None leaves them untried.
     """
     if len(q):
         cause, detail = "collision", _blocked(clearance, viewpoint, q)
     else:
         cause, detail = _not_solved(cell, X_WS, table)
-    change = remedies.of(viewpoint) if remedies is not None else None
-    remedy = "no pedestal height or table distance that was tried mends it"
-    if change is not None:
-        remedy = f"{change} brings it into reach"
-    elif remedies is None:
-        remedy = "what would mend it was not looked for"
-    return Unreachable(cause=cause, detail=detail, remedy=remedy, change=change)
+    return Unreachable(cause=cause, detail=detail)
 
 
 def _not_solved(cell: Cell, X_WS: np.ndarray, table: np.ndarray) -> tuple[Cause, str]:

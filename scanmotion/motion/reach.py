@@ -84,23 +84,34 @@ def reach(
         block = _Block(cell, list(viewpoints[first : first + _BLOCK]), clearance, options)
         block.look()
         for n in range(len(block.viewpoints)):
-            found.append(block.answer(n, remedies, search))
+            found.append(block.answer(n, search))
             if progress is not None:
                 progress(len(found) / len(viewpoints))
+        if remedies is not None:
+            found[first:] = _mended(found[first:], remedies)
     return found
 
 
-def _serves_with(options: ReachOptions) -> Callable[[Cell, Clearance, Viewpoint], bool]:
+def _mended(answers: list[Reach], remedies: Remedies) -> list[Reach]:
+    """The answers with what would mend the unreachable ones."""
+    changes = iter(remedies.of([a.viewpoint for a in answers if a.unreachable is not None]))
+    return [
+        a if a.unreachable is None else replace(a, unreachable=a.unreachable.mended_by(next(changes)))
+        for a in answers
+    ]
+
+
+def _serves_with(options: ReachOptions) -> Callable[[Cell, Clearance, list[Viewpoint]], np.ndarray]:
     """A coarser look whose poses are all among those of `options`: what it finds, reach finds there."""
     coarse = ReachOptions(
         azimuth_step=3 * options.azimuth_step, azimuth_range=options.azimuth_range,
         rolls=max(options.rolls // 2, 1) if options.rolls % 2 == 0 else options.rolls, most=1,
     )  # fmt: skip
 
-    def serves(cell: Cell, clearance: Clearance, viewpoint: Viewpoint) -> bool:
-        block = _Block(cell, [viewpoint], clearance, coarse)
+    def serves(cell: Cell, clearance: Clearance, viewpoints: list[Viewpoint]) -> np.ndarray:
+        block = _Block(cell, viewpoints, clearance, coarse)
         block.look()
-        return bool(block.kept[0])
+        return np.array([bool(kept) for kept in block.kept])
 
     return serves
 
@@ -169,7 +180,7 @@ class _Block:
                 break
         return ok
 
-    def answer(self, n: int, remedies: Remedies | None, search: SlackSearch) -> Reach:
+    def answer(self, n: int, search: SlackSearch) -> Reach:
         """What was found for viewpoint n; the exact tier is asked only where the fast one finds nothing."""
         viewpoint = self.viewpoints[n]
         if self.kept[n]:
@@ -186,7 +197,7 @@ class _Block:
                 found = candidates(self.cell, [viewpoint], [angles], self.options.rolls)
                 tried = np.column_stack([found.q, found.sigma])
         X_WS, table = presented(self.cell, viewpoint, self.angles[n], self.options.rolls)
-        cause = cause_of(self.cell, viewpoint, self.clearance, X_WS, table, tried[:, :7], remedies)
+        cause = cause_of(self.cell, viewpoint, self.clearance, X_WS, table, tried[:, :7])
         return self._reach(viewpoint, tried[:0], cause)
 
     def _within_slack(self, viewpoint: Viewpoint, search: SlackSearch) -> np.ndarray:
