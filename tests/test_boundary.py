@@ -116,6 +116,16 @@ def test_bad_input_is_named() -> None:
         boundary_points(points, points, radius=0.0)
 
 
+def test_a_point_far_away_changes_nothing_else(rng) -> None:
+    """The grid cannot have a cell for every radius up to it."""
+    points = sphere(rng, 3000)
+    points = points[points[:, 2] < 0.06]
+    normals = points / np.linalg.norm(points, axis=1, keepdims=True)
+    alone = boundary_points(points, normals, radius=0.02)
+    both = boundary_points(np.vstack([points, [1e7, 0, 0]]), np.vstack([normals, [0.0, 0, 1]]), radius=0.02)
+    assert both[-1] and (both[:-1] == alone).all()
+
+
 def test_isolated_points_and_copies_are_boundary() -> None:
     points = np.concatenate([np.zeros((40, 3)), [[9.0, 9, 9]]])
     assert boundary_points(points, np.tile([0.0, 0, 1], (41, 1)), radius=1.0).all()

@@ -383,6 +383,25 @@ def test_points_on_a_line_have_no_surface() -> None:
     assert report.holes == () and "line" in report.notes[0]
 
 
+def test_two_points_many_times_are_refused() -> None:
+    with pytest.raises(HoleError, match="2 distinct points"):
+        holes_from_cloud(np.repeat([[0.0, 0, 0], [1.0, 0, 0]], 40, axis=0))
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("mode", ["default", "paper"])
+def test_an_exact_plane_has_its_edge_only(axis: int, mode) -> None:
+    """All heights equal to the last bit, normals along an axis: where Open3D's test finds nothing."""
+    plane = np.roll(hex_plate(), axis - 2, axis=1)
+    found = holes_from_cloud(plane, mode=mode).holes
+    outer = max(found, key=lambda hole: hole.perimeter)
+    assert outer.kind == "edge"
+    assert np.allclose(outer.extent, [0.12, 0.12, 0], atol=2 * STEP)
+    assert np.allclose(np.abs(outer.normal), np.eye(3)[axis], atol=1e-9)
+    if mode == "default":
+        assert len(found) == 1 and outer.perimeter == pytest.approx(8 * 0.06, rel=0.1)
+
+
 def test_copies_change_nothing_but_a_note() -> None:
     points = cap_off(even_sphere(4000), [0, 0, 1], 0.3)
     once, twice = holes_from_cloud(points), holes_from_cloud(np.concatenate([points, points]))
@@ -418,6 +437,38 @@ def test_cut_cases(name: str, shared_data, shared_tools, tmp_path) -> None:
     assert result["hole_precision"] >= 0.95 and result["hole_recall"] >= 0.95
     assert result["point_precision"] >= 0.9 and result["point_recall"] >= 0.9
     assert result["false_on_decoys"] == 0
+
+
+@pytest.mark.parametrize("name", ["hammer_cloud", "hermes_mesh"])
+def test_the_command_writes_the_contract_in_the_files_units(
+    name: str, shared_data, shared_tools, tmp_path
+) -> None:
+    from typer.testing import CliRunner
+
+    from scanmotion.cli import app
+
+    truth = shared_data / "holes" / f"{name}.json"
+    out = tmp_path / "holes.json"
+    result = CliRunner().invoke(app, ["holes", str(truth.with_suffix(".ply")), "--out", str(out), "--show"])
+    assert result.exit_code == 0, result.output
+    assert out.with_suffix(".png").read_bytes()[:4] == b"\x89PNG"
+    written = json.loads(out.read_text())
+    for hole in written["holes"]:
+        assert set(hole) == {
+            "boundary_points", "kind", "center", "normal", "extent", "perimeter", "area"
+        }  # fmt: skip
+        assert hole["kind"] in ("edge", "common", "interstitial", "island")
+        loop = np.array(hole["boundary_points"])
+        assert loop_length(loop) == pytest.approx(hole["perimeter"], rel=1e-6)
+        assert np.linalg.norm(hole["normal"]) == pytest.approx(1)
+        assert (np.abs(loop - hole["center"]).max(axis=0) <= max(hole["extent"])).all()
+    spec = importlib.util.spec_from_file_location("hole_cases", shared_tools / "hole_cases.py")
+    assert spec and spec.loader
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    score = tool.score(Namespace(truth=str(truth), pred=str(out), tol=2.0, min_f1=0.5))
+    assert score["hole_precision"] == score["hole_recall"] == 1.0
+    assert score["point_precision"] >= 0.9 and score["point_recall"] >= 0.9
 
 
 FRESH = (
