@@ -15,7 +15,8 @@ judged. `--peer N` takes N viewpoints of the ring, spread evenly over feasible a
 What the peer finds is checked by our exact tier before it counts; feasible is what either finds, or a finer
 search of ours. Ours is timed twice: one configuration for each viewpoint, which is what the peer gives, and
 up to 96 with clearance and manipulability. Causes are among both; remedies, which the peer has nothing like,
-are timed apart. Seconds are of processor time, so that other load counts for neither. Exit status 1 where ours misses a viewpoint or is not 100 times faster.
+are timed apart. Seconds are of processor time, so that other load counts for neither. Exit status 1 where
+ours, with one configuration, misses a viewpoint or is not 100 times faster.
 """
 
 import argparse
