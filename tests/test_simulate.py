@@ -415,11 +415,12 @@ def test_ways_that_need_no_shadow_ray_are_lit(lump):
             rays, column, row = frame_rays(X, columns, rows, low, high)
             depth = scene.raycaster.cast_rays(rays)["t_hit"].numpy()
             hit = np.isfinite(depth)
+            nearest = ((scene.outline - X[:3, 3]) @ X[:3, 2]).min()
             eye = X[:3, 3] + scanner.baseline * X[:3, 0]
             way = rays[:, :3] + np.where(hit, depth, 1.0)[:, None] * rays[:, 3:] - eye
             shadow = np.hstack([np.tile(eye, (len(way), 1)), way]).astype(np.float32)
             lit = hit & ~scene.raycaster.test_occlusions(shadow, tnear=0.0, tfar=1 - 3e-4).numpy()
-            sure = surely_lit(depth, column, row, columns, high, scanner.baseline)
+            sure = surely_lit(depth, column, row, columns, high, nearest, scanner.baseline)
             lit_count, sure_count, wrong = (
                 lit_count + lit.sum(),
                 sure_count + sure.sum(),
@@ -429,13 +430,18 @@ def test_ways_that_need_no_shadow_ray_are_lit(lump):
     assert sure_count > 0.7 * lit_count
 
 
-def test_nothing_is_sure_where_the_part_leaves_the_field():
+def test_what_leaves_the_field_is_taken_to_stand_at_its_least_depth():
     mesh = plate(0.7, 1.0)
     X = np.eye(4)
     columns, rows = np.linspace(-0.2, 0.2, 31), np.linspace(-0.2, 0.2, 21)
-    outline = mesh[0]
-    low, high = _spans(X, rows, outline)
+    low, high = _spans(X, rows, mesh[0])
     rays, column, row = frame_rays(X, columns, rows, low, high)
     depth = scene_from(*mesh).raycaster.cast_rays(rays)["t_hit"].numpy()
-    assert not surely_lit(depth, column, row, columns, high, 0.15).any()
-    assert surely_lit(depth, column, row, columns, np.full(21, 0.2), 0.15).all()
+    level = surely_lit(depth, column, row, columns, high, 0.7, 0.15)
+    assert level[column < 30].all()
+    # A thing at 0.4 m past the last column shades x where 1 / 0.7 - x / b < 1 / 0.4 - 0.2 / b.
+    shaded = columns[column] > 0.2 - 0.15 * (1 / 0.4 - 1 / 0.7)
+    near = surely_lit(depth, column, row, columns, high, 0.4, 0.15)
+    assert not near[shaded].any()
+    assert near[columns[column] < 0.03].all()
+    assert surely_lit(depth, column, row, columns, np.full(21, 0.2), 0.4, 0.15).all()

@@ -128,27 +128,33 @@ def lit_hits(
 
 @njit(cache=True)
 def surely_lit(
-    depth: np.ndarray, column: np.ndarray, row: np.ndarray, x: np.ndarray, high: np.ndarray, baseline: float
-) -> np.ndarray:
+    depth: np.ndarray, column: np.ndarray, row: np.ndarray, x: np.ndarray, high: np.ndarray, nearest: float,
+    baseline: float,
+) -> np.ndarray:  # fmt: skip
     """Which hits the projector surely lights: what the camera saw leaves the way to it free.
 
     The way from the point at (x, z) to the projector runs along the pixel row towards greater x; on it 1 / z
     grows by 1 / baseline for each unit of x. It is free of all that the camera saw where
     g = 1 / z - x / baseline is greater than any g further along, here in the neighbouring rows too and by 0.6
     of what a pixel's step makes, so that only something thinner than a pixel can stand in the way unseen.
-    Past the part's outline there is nothing; where the outline leaves the field of view nothing is sure.
+    Past the part's outline there is nothing; where the outline leaves the field of view, the part is taken to
+    stand there at its least depth.
 
     Args:
         depth: of the rays of one frame, inf where nothing is hit, shape (k,).
         column, row: of their pixels, shape (k,).
         x: x / z of the columns, ascending, shape (w,).
         high: greatest x / z of the part's outline in each row, shape (h,).
+        nearest: least depth of the part's outline, above zero [m].
         baseline: from the camera to the projector along +x of S, above zero [m].
     """
     w, h = len(x), len(high)
     g = np.full((h, w + 1), -np.inf)
     for i in range(len(depth)):
         g[row[i], column[i]] = 1.0 / depth[i] - x[column[i]] / baseline
+    for j in range(h):
+        if high[j] > x[w - 1]:
+            g[j, w] = 1.0 / nearest - x[w - 1] / baseline
     top = g.copy()
     for j in range(h):
         for c in range(w - 1, -1, -1):
@@ -157,7 +163,7 @@ def surely_lit(
     sure = np.zeros(len(depth), np.bool_)
     for i in range(len(depth)):
         j, c = row[i], column[i]
-        if high[j] <= x[w - 1] and np.isfinite(depth[i]):
+        if np.isfinite(depth[i]):
             most = top[j, c + 1]
             for n in (max(j - 1, 0), min(j + 1, h - 1)):
                 most = max(most, top[n, c + 1])

@@ -180,8 +180,9 @@ def _range_frame(
         np.cos(scanner.max_incidence), 0,
     )  # fmt: skip
     lit = np.zeros(len(index), bool)
-    if scanner.baseline > 0 and _only_part_shades(scene, p_OP):
-        lit = surely_lit(depth, column, row, columns, high, scanner.baseline)[index]
+    nearest = _nearest(scene, X_OS, p_OP)
+    if scanner.baseline > 0 and nearest > 1e-3:
+        lit = surely_lit(depth, column, row, columns, high, nearest, scanner.baseline)[index]
     doubtful = np.flatnonzero(~lit)
     if len(doubtful):
         rays = shadow[doubtful]
@@ -190,11 +191,16 @@ def _range_frame(
     return depth[index], cosine, column[index], row[index]
 
 
-def _only_part_shades(scene: Scene, p_OP: np.ndarray) -> bool:
-    """Whether table and pedestal, both below z = 0 of O, lie off every way from the part to the projector."""
+def _nearest(scene: Scene, X_OS: np.ndarray, p_OP: np.ndarray) -> float:
+    """Least depth of the part; 0 where it is not known, or where table or pedestal may shade it too.
+
+    Both are below z = 0 of O and lie off every way from a part above it to a projector above it.
+    """
     if scene.outline is None:
-        return False
-    return not np.isfinite(scene.table_z) or bool(p_OP[2] > 0 and scene.outline[:, 2].min() > -1e-5)
+        return 0.0
+    if np.isfinite(scene.table_z) and not (p_OP[2] > 0 and scene.outline[:, 2].min() > -1e-5):
+        return 0.0
+    return float(((scene.outline - X_OS[:3, 3]) @ X_OS[:3, 2]).min())
 
 
 def _spans(X_OS: np.ndarray, rows: np.ndarray, outline: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
