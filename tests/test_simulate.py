@@ -346,6 +346,12 @@ def test_seen_is_the_visibility_of_each_sample_from_the_true_poses():
     expected = sees(scene, SCANNER, true, samples.points, samples.normals).any(axis=0)
     np.testing.assert_array_equal(scan.seen, expected)
     assert 0.3 < expected.mean() < 0.95
+    known = np.random.default_rng(4).random(2000) < 0.5
+    again = simulate(
+        scene, SCANNER, still_captures(X), samples=samples, known=known, rng=np.random.default_rng(3)
+    )
+    np.testing.assert_array_equal(again.seen, expected | known)
+    np.testing.assert_array_equal(again.points_O, scan.points_O)
 
 
 def test_range_image_and_view_directions():

@@ -73,6 +73,7 @@ def simulate(
     stride: int = 2,
     rng: np.random.Generator,
     samples: SurfaceSamples | None = None,
+    known: np.ndarray | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Scan:
     """What the scanner measures along the captures.
@@ -86,6 +87,8 @@ def simulate(
             stride^2 frames use every pixel once.
         rng: source of all noise.
         samples: surface samples whose visibility is wanted.
+        known: which of the samples earlier scans saw, shape (m,) bool: they are not asked again and count as
+            seen; None for none.
         progress: told the share of frames done.
     """
     scene = (
@@ -120,7 +123,7 @@ def simulate(
         pixel=_joined([f[2] for f in frames], (0,), np.int32),
         frame=np.repeat(np.arange(n, dtype=np.int32), count),
         captures=captures,
-        seen=_seen(scene, scanner, X_true, samples),
+        seen=_seen(scene, scanner, X_true, samples, known),
         rays=grid.size * n,
     )
 
@@ -215,10 +218,15 @@ def _spans(X_OS: np.ndarray, rows: np.ndarray, outline: np.ndarray | None) -> tu
     return low - 1e-6, high + 1e-6
 
 
-def _seen(scene: Scene, scanner: Scanner, X_OS: np.ndarray, samples: SurfaceSamples | None) -> np.ndarray:
+def _seen(
+    scene: Scene, scanner: Scanner, X_OS: np.ndarray, samples: SurfaceSamples | None, known: np.ndarray | None
+) -> np.ndarray:
     if samples is None:
         return np.zeros(0, bool)
     # Poses far apart first: most samples are found early and need not be asked again.
     n = len(X_OS)
     order = np.argsort((np.arange(n) * 0.6180339887498949) % 1.0, kind="stable")
-    return seen_by_any(scene, scanner, X_OS[order], samples.points, samples.normals)
+    seen = np.zeros(len(samples.points), bool) if known is None else np.array(known, dtype=bool)
+    ask = np.flatnonzero(~seen)
+    seen[ask] = seen_by_any(scene, scanner, X_OS[order], samples.points[ask], samples.normals[ask])
+    return seen
