@@ -129,6 +129,7 @@ class _Trip:
             self.scanner, extent=part.extent, edge=options.voxel, stride=options.stride, table_z=self.table_z
         )
         self.shunned: list[np.ndarray] = []
+        self.claimed: list[np.ndarray] = []
         self.scene: Scene | None = None
         self.samples: SurfaceSamples | None = None
         self.seen = np.zeros(0, bool)
@@ -221,12 +222,14 @@ class _Trip:
             spacing=self.options.voxel,
             frontier=self.space.frontier(self.cloud.points) if self.scans else None,
             seconds=self._seconds_left(),
+            claimed=np.concatenate(self.claimed) if self.claimed else None,
             table_radius=self.settings.turntable.diameter_m / 2,
             table_z=self.table_z,
             reachable=self._reachable if self.options.reach_feedback else None,
             rng=self._rng(20 + number),
         )  # fmt: skip
         self.unscanned = step.unseen
+        self.claimed.append(step.claimed)
         return step.viewpoints
 
     def _seconds_left(self) -> float:
@@ -235,7 +238,7 @@ class _Trip:
         return max(self.settings.process.budget_s - spent, 0.0)
 
     def _reachable(self, X_OS: np.ndarray) -> np.ndarray:
-        """What the robot reaches, without the neighbourhood of viewpoints that proved not worth their way."""
+        """What the robot reaches, without the neighbourhood of what it has tried."""
         mask = reachable_mask(self.cell, X_OS, clearance=self.clearance)
         for X in self.shunned:
             near = np.linalg.norm(X_OS[:, :3, 3] - X[:3, 3], axis=1) < 0.06
@@ -257,7 +260,7 @@ class _Trip:
                     self._scan(leg.trajectory, rng)
         self.rounds.append(Round(step=step, leg=leg, seen=self.seen.copy()))
         given_up = {v for v, _ in leg.unreachable}
-        self.shunned += [v.X_OS for v in views if v.id in given_up]
+        self.shunned += [v.X_OS for v in views if v.id in given_up or v.kind == "station"]
 
     def _scan(self, trajectory: Trajectory, rng: np.random.Generator) -> None:
         captures = captures_from_trajectory(
@@ -267,6 +270,7 @@ class _Trip:
         scan = simulate(
             self.scene, self.scanner, captures,
             errors=self.options.errors, stride=self.options.stride, rng=rng, samples=self.samples,
+            known=self.seen,
             progress=lambda f: self.progress("twin", f),
         )  # fmt: skip
         self.scans.append(scan)

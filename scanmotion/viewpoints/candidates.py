@@ -31,7 +31,7 @@ class CandidateOptions:
     """Most places around which stations are made."""
     directions: int = 160
     """Directions tried about each seed's normal; narrow shafts want many."""
-    standoffs: tuple[float, ...] = (0.45, 0.70, 0.93)
+    standoffs: tuple[float, ...] = (0.45, 0.62, 0.80)
     """Distances of the camera from the seed [m]."""
     rolls: int = 4
     """Rolls tried about each line of sight; the projector must see the seed too."""

@@ -124,8 +124,11 @@ def in_view(scanner: Scanner, X_OS: np.ndarray, points: np.ndarray, normals: np.
     Inside the camera's field and range, and turned towards camera and projector by no more than the greatest
     incidence.
     """
-    return _in_view(
-        np.ascontiguousarray(X_OS, dtype=float).reshape(-1, 4, 4),
+    X_OS = np.ascontiguousarray(X_OS, dtype=float).reshape(-1, 4, 4)
+    # Threads cost more than they bring where there is little to do.
+    test = _in_views if len(X_OS) * len(points) > 500_000 and len(X_OS) > 1 else _in_views_here
+    return test(
+        X_OS,
         np.ascontiguousarray(points, dtype=float),
         np.ascontiguousarray(normals, dtype=float),
         np.array([np.tan(scanner.fov[0] / 2), np.tan(scanner.fov[1] / 2), *scanner.range]),
@@ -135,28 +138,39 @@ def in_view(scanner: Scanner, X_OS: np.ndarray, points: np.ndarray, normals: np.
 
 
 @njit(cache=True, parallel=True)
-def _in_view(X_OS, points, normals, field, least, baseline):
-    n, m = len(X_OS), len(points)
-    out = np.zeros((n, m), np.bool_)
-    for i in prange(n):
-        X = X_OS[i]
-        for j in range(m):
-            x, y, z = points[j, 0] - X[0, 3], points[j, 1] - X[1, 3], points[j, 2] - X[2, 3]
-            c = X[0, 2] * x + X[1, 2] * y + X[2, 2] * z
-            if c < field[2] or c > field[3]:
-                continue
-            a = X[0, 0] * x + X[1, 0] * y + X[2, 0] * z
-            b = X[0, 1] * x + X[1, 1] * y + X[2, 1] * z
-            if abs(a) > field[0] * c or abs(b) > field[1] * c:
-                continue
-            u, v, w = normals[j]
-            if -(u * x + v * y + w * z) < least * np.sqrt(x * x + y * y + z * z):
-                continue
-            x -= baseline * X[0, 0]
-            y -= baseline * X[1, 0]
-            z -= baseline * X[2, 0]
-            out[i, j] = -(u * x + v * y + w * z) >= least * np.sqrt(x * x + y * y + z * z)
+def _in_views(X_OS, points, normals, field, least, baseline):
+    out = np.zeros((len(X_OS), len(points)), np.bool_)
+    for i in prange(len(X_OS)):
+        _in_view(X_OS[i], points, normals, field, least, baseline, out[i])
     return out
+
+
+@njit(cache=True)
+def _in_views_here(X_OS, points, normals, field, least, baseline):
+    out = np.zeros((len(X_OS), len(points)), np.bool_)
+    for i in range(len(X_OS)):
+        _in_view(X_OS[i], points, normals, field, least, baseline, out[i])
+    return out
+
+
+@njit(cache=True)
+def _in_view(X, points, normals, field, least, baseline, out):
+    for j in range(len(points)):
+        x, y, z = points[j, 0] - X[0, 3], points[j, 1] - X[1, 3], points[j, 2] - X[2, 3]
+        c = X[0, 2] * x + X[1, 2] * y + X[2, 2] * z
+        if c < field[2] or c > field[3]:
+            continue
+        a = X[0, 0] * x + X[1, 0] * y + X[2, 0] * z
+        b = X[0, 1] * x + X[1, 1] * y + X[2, 1] * z
+        if abs(a) > field[0] * c or abs(b) > field[1] * c:
+            continue
+        u, v, w = normals[j, 0], normals[j, 1], normals[j, 2]
+        if -(u * x + v * y + w * z) < least * np.sqrt(x * x + y * y + z * z):
+            continue
+        x -= baseline * X[0, 0]
+        y -= baseline * X[1, 0]
+        z -= baseline * X[2, 0]
+        out[j] = -(u * x + v * y + w * z) >= least * np.sqrt(x * x + y * y + z * z)
 
 
 def _unblocked(
@@ -230,8 +244,12 @@ def turns_see(
 ) -> np.ndarray:
     """Which points each whole turn of the table before a pose X_OS (n, 4, 4) measures, shape (n, m)."""
     out = np.zeros((len(X_OS), len(points)), bool)
-    for n, X in enumerate(X_OS):
-        out[n] = sees(scene, scanner, revolution_poses(X, poses), points, normals).any(axis=0)
+    step = max(1, 4_000_000 // max(poses * len(points), 1))
+    for first in range(0, len(X_OS), step):
+        turns = X_OS[first : first + step]
+        frames = np.concatenate([revolution_poses(X, poses) for X in turns])
+        seen = sees(scene, scanner, frames, points, normals)
+        out[first : first + step] = seen.reshape(len(turns), poses, -1).any(axis=1)
     return out
 
 

@@ -12,8 +12,8 @@ from scipy import ndimage
 from scanmotion.compiled import njit, prange
 from scanmotion.scanner import Scanner
 
-_BAND = 4
-"""Space is looked at within this many cells of the surface."""
+_BAND, _MARGIN = 4, 24
+"""Space is looked at within this many cells of the surface; later scans may add so many about the first."""
 _MOST_CELLS = 60_000_000
 _UNKNOWN, _OCCUPIED, _FREE = 1, 2, 3
 
@@ -55,34 +55,55 @@ class Space:
         self._scanner, self._table_z = scanner, table_z
         # A ray passes up to half a pixel beside a point, which tells in depth where it grazes.
         self._margin = self._edge * max(1.0, stride / 2)
-        self._X_OS = np.zeros((0, 4, 4))
+        self._X_SO = np.zeros((0, 4, 4))
         self._images: list[np.ndarray] = []
+        self._known = 0
+        self._low = np.zeros(3, np.int64)
+        self._free: np.ndarray | None = None
+        self._tested: np.ndarray | None = None
 
     def add(self, X_OS: np.ndarray, images: np.ndarray) -> None:
         """Remembers frames: poses (n, 4, 4) and depth images (n, h, w) [m], NaN where nothing was seen."""
-        self._X_OS = np.concatenate([self._X_OS, np.asarray(X_OS, float)])
+        self._X_SO = np.concatenate([self._X_SO, np.linalg.inv(np.asarray(X_OS, float))])
         self._images.append(np.asarray(images, np.float32))
 
     def frontier(self, points: np.ndarray) -> Frontier:
         """Where the frames left space open beside the surface that `points` (n, 3) show."""
-        edge = self._edge
-        cells = np.floor(points / edge).astype(np.int64)
-        low, high = cells.min(axis=0) - _BAND - 1, cells.max(axis=0) + _BAND + 2
-        shape = tuple(int(s) for s in high - low)
-        occupied = np.zeros(shape, bool)
-        occupied[tuple((cells - low).T)] = True
+        cells = np.floor(points / self._edge).astype(np.int64)
+        if self._free is None:
+            self._low = cells.min(axis=0) - _MARGIN
+            shape = tuple(int(n) for n in cells.max(axis=0) + _MARGIN + 1 - self._low)
+            self._free, self._tested = np.zeros(shape, bool), np.zeros(shape, bool)
+        assert self._tested is not None
+        cells = cells - self._low
+        inside = ((cells > _BAND) & (cells < np.array(self._free.shape) - _BAND - 1)).all(axis=1)
+        occupied = np.zeros(self._free.shape, bool)
+        occupied[tuple(cells[inside].T)] = True
         band = ndimage.binary_dilation(occupied, iterations=_BAND) & ~occupied
-        at = np.argwhere(band).astype(np.int32)
-        at = at[(at[:, 2] + low[2]) * edge >= self._table_z]
+        ground = int(np.ceil(self._table_z / self._edge)) - int(self._low[2])
+        band[:, :, : max(ground, 0)] = False
         images = np.concatenate(self._images)
-        free = _carved(
-            (at + low + 0.5) * edge, np.linalg.inv(self._X_OS), images, np.tan(self._scanner.fov[0] / 2),
-            np.tan(self._scanner.fov[1] / 2), self._margin,
-        )  # fmt: skip
-        state = np.zeros(shape, np.uint8)
+        self._images = [images]
+        for at, first in (
+            (np.argwhere(band & ~self._tested), 0),
+            (np.argwhere(band & self._tested & ~self._free), self._known),
+        ):
+            self._free[tuple(at.T)] = self._looked_past(at, images, first)
+        self._tested |= band
+        self._known = len(images)
+        state = np.zeros(band.shape, np.uint8)
+        state[band] = np.where(self._free[band], _FREE, _UNKNOWN)
         state[occupied] = _OCCUPIED
-        state[tuple(at.T)] = np.where(free, _FREE, _UNKNOWN)
-        return _frontier_of(state, low, edge)
+        return _frontier_of(state, self._low, self._edge)
+
+    def _looked_past(self, at: np.ndarray, images: np.ndarray, first: int) -> np.ndarray:
+        """Which cells a frame from `first` on has looked past, shape (n,)."""
+        if len(images) == first or len(at) == 0:
+            return np.zeros(len(at), bool)
+        return _carved(
+            (at + self._low + 0.5) * self._edge, self._X_SO[first:], images[first:],
+            np.tan(self._scanner.fov[0] / 2), np.tan(self._scanner.fov[1] / 2), self._margin,
+        )  # fmt: skip
 
 
 def _frontier_of(state: np.ndarray, low: np.ndarray, edge: float) -> Frontier:

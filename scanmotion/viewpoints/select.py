@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from scanmotion.scanner import Scanner
 from scanmotion.viewpoints.candidates import CandidateOptions, candidates
@@ -41,9 +42,11 @@ class SelectOptions:
     """The same where the frontier tells of narrower ones [m]."""
     probes: int = 30_000
     """Points spread over the model to find what is only guessed."""
+    behind: float = 0.04
+    """Targets are seen at least this far inside the range's end [m]."""
     most: int = 24
     """Most viewpoints chosen in one round."""
-    least_rate: float = 2.0e-5
+    least_rate: float = 2.5e-5
     """A viewpoint that adds less than this share of the surface per second is not worth its seconds [1/s]."""
 
 
@@ -68,6 +71,8 @@ class LocalStep:
     model: ClosedModel
     targets: np.ndarray
     """Points on the unseen patches, shape (m, 3)."""
+    claimed: np.ndarray
+    """Targets that the viewpoints should see, shape (k, 3): what stays open there is not tried again."""
     gains: tuple[float, ...]
     """Area that each viewpoint adds, in the order of choice [m2]."""
 
@@ -82,6 +87,7 @@ def local_step(
     table_radius: float,
     table_z: float = 0.0,
     frontier: Frontier | None = None,
+    claimed: np.ndarray | None = None,
     reachable: Reachable | None = None,
     seconds: float = np.inf,
     prefix: str = "L",
@@ -100,6 +106,7 @@ def local_step(
         table_z: its height in O [m].
         frontier: where the frames left space open, narrow strips under ledges above all; None where the
             frames are not known.
+        claimed: targets that earlier rounds should have seen, shape (k, 3).
         reachable: tells which poses (n, 4, 4) the robot reaches; None for all.
         seconds: what the chosen may take together, roughly [s].
         prefix: of the viewpoints' ids.
@@ -109,14 +116,19 @@ def local_step(
     options = options or SelectOptions()
     model = closed_model(points, normals, spacing=spacing, table_z=table_z)
     scene = _scene(model, table_radius, table_z)
-    targets = _targets(model, frontier, options, table_z, rng)
+    targets = _targets(model, frontier, claimed, options, table_z, rng)
     if len(targets.points) == 0:
-        return LocalStep(viewpoints=(), unseen=(), model=model, targets=targets.points, gains=())
+        return LocalStep(
+            viewpoints=(), unseen=(), model=model, targets=targets.points,
+            claimed=targets.points, gains=(),
+        )  # fmt: skip
     poses, kinds = candidates(
         scene, scanner, model.vertices, targets.points, targets.normals, holes,
         table_radius=table_radius, table_z=table_z, options=options.candidates,
     )  # fmt: skip
-    matrix = _scores(scene, scanner, poses, kinds, targets)
+    # What lies behind a target is farther than the target.
+    near, far = scanner.range
+    matrix = _scores(scene, replace(scanner, range=(near, far - options.behind)), poses, kinds, targets)
     arm = _Arm(poses, reachable)
     least = options.least_rate * model.area
     chosen, gains = _chosen(matrix, targets.areas, poses, kinds, arm, least, seconds, options.most)
@@ -127,7 +139,7 @@ def local_step(
     covered = matrix[chosen].any(axis=0) if chosen else np.zeros(len(targets.points), bool)
     return LocalStep(
         viewpoints=views, unseen=_patches(targets, covered, matrix, arm), model=model,
-        targets=targets.points, gains=tuple(gains),
+        targets=targets.points, claimed=targets.points[covered], gains=tuple(gains),
     )  # fmt: skip
 
 
@@ -151,6 +163,7 @@ def _scene(model: ClosedModel, table_radius: float, table_z: float) -> Scene:
 def _targets(
     model: ClosedModel,
     frontier: Frontier | None,
+    claimed: np.ndarray | None,
     options: SelectOptions,
     table_z: float,
     rng: np.random.Generator,
@@ -176,6 +189,9 @@ def _targets(
         points = np.concatenate([points, free_side])
         normals = np.concatenate([normals, frontier.normals[lifted]])
         areas = np.concatenate([areas, np.full(int(lifted.sum()), frontier.edge**2)])
+    if claimed is not None and len(claimed) and len(points):
+        fresh = cKDTree(claimed).query(points)[0] > 1.5 * model.cell
+        points, normals, areas = points[fresh], normals[fresh], areas[fresh]
     if len(points) > options.targets:
         share = len(points) / options.targets
         index = np.linspace(0, len(points) - 1, options.targets).astype(int)
@@ -248,7 +264,23 @@ def _chosen(
         spent += float(cost[best])
         open_[matrix[rows[-1]]] = 0.0
         way = np.minimum(way, np.linalg.norm(place[gaining] - place[rows[-1]], axis=1))
-    return rows, gains
+    return _pruned(matrix, areas, kinds, rows, least)
+
+
+def _pruned(
+    matrix: np.ndarray, areas: np.ndarray, kinds: np.ndarray, rows: list[int], least: float
+) -> tuple[list[int], list[float]]:
+    """Without the rows that later ones made superfluous, the worst first, and what each adds alone [m2]."""
+    rows = list(rows)
+    while rows:
+        count = matrix[rows].sum(axis=0)
+        alone = np.array([areas[matrix[r] & (count == 1)].sum() for r in rows])
+        rate = alone / (np.where(kinds[rows], REVOLUTION_S, STATION_S) + 0.1 * SECONDS_PER_METRE)
+        worst = int(np.argmin(rate))
+        if rate[worst] >= least:
+            return rows, [float(a) for a in alone]
+        del rows[worst]
+    return [], []
 
 
 def _view(X_OS: np.ndarray, turns: bool, name: str, gain: float) -> Viewpoint:
