@@ -6,9 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scanmotion.cell.clearance import Clearance
+from scanmotion.cell.kinematics import scanner_in_object
 from scanmotion.cell.plant import Cell
+from scanmotion.cell.robot import clean_angle
 from scanmotion.errors import PathError
-from scanmotion.motion.reach import Reach, reach
+from scanmotion.motion.candidates import candidates
+from scanmotion.motion.reach import Reach, ReachOptions, reach
 from scanmotion.motion.sequence import sequence
 from scanmotion.motion.timing import time_plan
 from scanmotion.motion.tour import Path, Tour
@@ -54,6 +57,7 @@ def leg_from(
     *,
     mode: str = "default",
     table: str = "axis",
+    longest_way: float = LONGEST_WAY_S,
     rng: np.random.Generator,
     progress: Progress = silent,
 ) -> Leg:
@@ -68,15 +72,17 @@ def leg_from(
         viewpoints: what is to be visited.
         start_q: shape (7,) [rad].
         mode: "default" orders by seconds; "paper" by distance, with the table for the unreachable only.
-        table: "fallback" keeps the table still for every station that the arm reaches without it.
+        table: "fallback" keeps the table still for every station that the arm reaches without it; so does
+            mode "paper".
+        longest_way: a local viewpoint whose transit takes longer is left out [s].
         rng: source of the search's random numbers.
         progress: told the stage and the share done.
     """
     reaches = list(
         reach(cell, list(viewpoints), clearance=clearance, progress=lambda f: progress("reach", f))
     )
-    if table == "fallback":
-        reaches = [_table_still(r, start_q[6]) for r in reaches]
+    if table == "fallback" or mode == "paper":
+        reaches = _table_still(cell, clearance, reaches, 0.0 if mode == "paper" else float(start_q[6]))
     reasons = {r.viewpoint.id: str(r.unreachable) for r in reaches if r.unreachable is not None}
     trajectory = None
     while True:
@@ -93,7 +99,8 @@ def leg_from(
         if not tour.stops:
             break
         trajectory = time_plan(cell, tour, paths, progress=lambda f: progress("timing", f))
-        detours = _detours(trajectory, {r.viewpoint.id for r in todo if r.viewpoint.step == "local"})
+        local = {r.viewpoint.id for r in todo if r.viewpoint.step == "local"}
+        detours = _detours(trajectory, local, longest_way)
         if not detours:
             break
         reasons.update(detours)
@@ -104,7 +111,7 @@ def leg_from(
     )  # fmt: skip
 
 
-def _detours(trajectory: Trajectory, local: set[str]) -> dict[str, str]:
+def _detours(trajectory: Trajectory, local: set[str], longest: float) -> dict[str, str]:
     """Local viewpoints at the end of the longest way round, where it costs more than they are worth."""
     ways = [
         (o.t_end - o.t_start, o.viewpoints)
@@ -112,7 +119,7 @@ def _detours(trajectory: Trajectory, local: set[str]) -> dict[str, str]:
         if o.kind == "transit" and o.viewpoints and set(o.viewpoints) <= local
     ]
     seconds, viewpoints = max(ways, default=(0.0, ()), key=lambda w: w[0])
-    if seconds <= LONGEST_WAY_S:
+    if seconds <= longest:
         return {}
     return {v: f"not worth its seconds: the way there takes {seconds:.1f} s" for v in viewpoints}
 
@@ -122,15 +129,22 @@ def renamed(viewpoints: Sequence[Viewpoint], prefix: str) -> tuple[Viewpoint, ..
     return tuple(replace(v, id=prefix + v.id, sweep=prefix + v.sweep if v.sweep else "") for v in viewpoints)
 
 
-def _table_still(item: Reach, angle: float) -> Reach:
-    """Only the configurations that leave the table where it is, if there are any."""
-    if item.viewpoint.kind == "revolution":
-        return item
-    turn = np.abs(np.mod(item.q[:, 6] - angle + np.pi, 2 * np.pi) - np.pi)
-    keep = turn < np.deg2rad(6.0)
-    if not keep.any():
-        return item
-    return replace(
-        item, q=item.q[keep], clearance=item.clearance[keep], manipulability=item.manipulability[keep],
-        X_OS=item.X_OS[keep],
-    )  # fmt: skip
+def _table_still(cell: Cell, clearance: Clearance, reaches: Sequence[Reach], angle: float) -> list[Reach]:
+    """Stations with the configurations that leave the table at `angle` [rad], if there are any."""
+    stations = [n for n, r in enumerate(reaches) if r.viewpoint.kind == "station" and len(r.q)]
+    views = [reaches[n].viewpoint for n in stations]
+    options = ReachOptions()
+    at = np.array([clean_angle(np.array(angle))])
+    found = candidates(cell, views, [at] * len(views), options.rolls, hopeless=clearance.tool_blocked)
+    free = clearance.first_free(found.q, found.starts, found.geometry, options.most)
+    still = list(reaches)
+    for i, n in enumerate(stations):
+        rows = np.arange(len(found.q))[found.of(i)]
+        rows = rows[free[rows]][: options.most]
+        if len(rows):
+            q = found.q[rows]
+            still[n] = replace(
+                still[n], q=q, clearance=np.maximum(clearance.margins(q), 0.0),
+                manipulability=found.sigma[rows], X_OS=scanner_in_object(cell, q),
+            )  # fmt: skip
+    return still

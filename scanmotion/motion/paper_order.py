@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from scanmotion.cell.robot import clean_angle
 from scanmotion.motion.stops import Group
 from scanmotion.motion.tsp import TourOptions, tour_from_cost
 from scanmotion.viewpoints.viewpoint import Viewpoint
@@ -62,6 +63,9 @@ def _least_turned(group: Group, table: float) -> int:
     if group.kind == "revolution":
         return int(np.abs(group.enter.q[:, 6] - table).argmin())
     forward = ~group.backward if len(group.backward) else np.ones(len(group), dtype=bool)
-    turned = np.abs(group.enter.q[:, 6])
-    turned = np.where(turned <= _FIXED_RAD, 0.0, turned)
-    return int(np.where(forward, turned, np.inf).argmin())
+    angle = group.enter.q[:, 6]
+    turned = np.abs(clean_angle(angle))
+    turned = np.where(forward, np.where(turned <= _FIXED_RAD, 0.0, turned), np.inf)
+    # After a revolution zero is where the table stands: it is not turned back.
+    way = np.round(np.abs(angle - table), 9)
+    return int(np.lexsort((np.arange(len(angle)), way, turned))[0])
