@@ -10,6 +10,7 @@ from scanmotion.cell.clearance import PAD_M, Clearance
 from scanmotion.cell.config import load_cell, settings_from
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.plant import build_cell
+from scanmotion.cell.scene import drake_of
 from scanmotion.part import Part, box_part
 
 TOLERANCE_M = 2e-4
@@ -110,7 +111,7 @@ def test_link_1_is_judged_against_obstacles():
         outside, _ = second.distances(q)
         if abs(outside - checker.clearance) < TOLERANCE_M:
             continue
-        assert checker.free(q[None])[0] == cell.drake.free(q[None])[0] == (outside > checker.clearance)
+        assert checker.free(q[None])[0] == drake_of(cell).free(q[None])[0] == (outside > checker.clearance)
         if outside < checker.clearance:
             seen.add(checker.distance(q)[1])
     assert "link_1" in {pair[0] for pair in seen} and {pair[1] for pair in seen} == {"post"}

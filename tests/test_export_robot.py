@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from scanmotion.cell.config import load_cell
 from scanmotion.cell.plant import build_cell
+from scanmotion.cell.scene import drake_of
 from scanmotion.errors import InputError
 from scanmotion.export import export_plan, krl
 from scanmotion.export.source import source_from, write_files
@@ -61,7 +62,7 @@ def programmes(folder, tmp_path_factory):
 
 def drake_poses(cell, degrees):
     """X_WS of configurations (n, 7) [deg] by Drake, mm for lengths."""
-    drake = cell.drake
+    drake = drake_of(cell)
     context = drake.plant.CreateDefaultContext()
     flange = drake.plant.GetFrameByName(cell.settings.robot.flange)
     found = []

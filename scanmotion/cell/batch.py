@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from scanmotion.cell.filter import _box, _box_frame, _cylinder, _outside, _placed, _poses, margin
-from scanmotion.cell.plant import TOOL, Cell
+from scanmotion.cell.model import TOOL, Cell
 from scanmotion.cell.robot import Body
 
 

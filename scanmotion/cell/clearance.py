@@ -12,7 +12,7 @@ import numpy as np
 from scanmotion.cell.batch import first_free, lattice, sure_points, surely_blocked, tool_blocked
 from scanmotion.cell.filter import box_of, edge_free, edges_free, filter_from, margins
 from scanmotion.cell.kinematics import link_poses, object_poses
-from scanmotion.cell.plant import TOOL, Cell
+from scanmotion.cell.model import TOOL, Cell
 from scanmotion.cell.robot import inverse_poses
 
 PAD_M = 0.004
@@ -104,7 +104,7 @@ class Clearance:
         """As `free`, for rows (n, 7) that the fast tier has refused: it is not asked again."""
         q = _rows(q)
         doubtful = np.flatnonzero(~self.surely_blocked(q))
-        doubtful = doubtful[self.cell.drake.free(q[doubtful])]
+        doubtful = doubtful[self._drake.free(q[doubtful])]
         if self._part is not None and len(doubtful):
             near = self._near_part(q[doubtful], self.clearance)
             ok = ~near
@@ -138,7 +138,7 @@ class Clearance:
         It is negative in collision; the second value names the two.
         """
         q = np.asarray(q, dtype=float)
-        excess, distance, pair = self.cell.drake.nearest(q)
+        excess, distance, pair = self._drake.nearest(q)
         if self._part is not None:
             d, name = self._part_distance(q)
             if d - self.clearance < excess:
@@ -151,11 +151,17 @@ class Clearance:
         part = self.cell.part.name if self.cell.part else ""
         return self.clearance if still & set(pair) or pair[1] == part else self.self_clearance
 
+    @cached_property
+    def _drake(self) -> Any:
+        from scanmotion.cell.scene import drake_of
+
+        return drake_of(self.cell)
+
     def _named(self, q: np.ndarray, pair: tuple[str, str]) -> tuple[str, str]:
         """The pair with the nearest solids of tool, table and surroundings in place of the whole."""
         import fcl
 
-        groups = [self.cell.drake.groups.get(name, -1) for name in pair]
+        groups = [self._drake.groups.get(name, -1) for name in pair]
         if max(groups) < TOOL or min(groups) < 0:
             return pair
         links = link_poses(self.cell, q)[0]

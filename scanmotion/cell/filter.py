@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from scanmotion.cell.plant import TABLE, TOOL, WORLD, Cell
+from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 from scanmotion.cell.robot import Body
 from scanmotion.part import Part
 

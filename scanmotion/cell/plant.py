@@ -1,66 +1,22 @@
 """The cell: arm, V-fixture, scanner, turntable, part and obstacles, in numpy and as a Drake plant."""
 
 import functools
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from scanmotion.cell.config import CellSettings, pose
+from scanmotion.cell.kinematics import branches
+from scanmotion.cell.model import TABLE as TABLE
+from scanmotion.cell.model import TOOL as TOOL
+from scanmotion.cell.model import WORLD as WORLD
+from scanmotion.cell.model import Cell as Cell
 from scanmotion.cell.robot import Body, Robot, robot_from_urdf
 from scanmotion.errors import CellError
 from scanmotion.part import Part, models_dir
 
-if TYPE_CHECKING:
-    from scanmotion.cell.scene import DrakeCell
-
-TOOL, TABLE, WORLD = 7, 8, 9
-"""Values of Body.link beside 0..6."""
 FLOOR_M = 8.0
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Cell:
-    """What exists in the cell and never changes while a plan is made. Joints: A1..A6 and the table E1."""
-
-    settings: CellSettings
-    part: Part | None
-    robot: Robot
-    X_WB: np.ndarray
-    """Robot base in the world, shape (4, 4)."""
-    X_FS: np.ndarray
-    """Scanner in the flange."""
-    X_WT: np.ndarray
-    """Turntable at angle zero in the world, origin on its surface."""
-    X_TO: np.ndarray
-    """Object on the turntable."""
-    joint_names: tuple[str, ...]
-    q_min: np.ndarray
-    """Shape (7,) [rad]; -inf for an endless table."""
-    q_max: np.ndarray
-    v_max: np.ndarray
-    """Shape (7,) [rad/s]."""
-    a_max: np.ndarray
-    """Shape (7,) [rad/s2]."""
-    j_max: np.ndarray
-    """Shape (7,) [rad/s3]."""
-    home: np.ndarray
-    """Where a programme starts, shape (7,) [rad]."""
-    bodies: tuple[Body, ...]
-    """Every solid but the part: links, tool, table, pedestal, floor and obstacles."""
-
-    @property
-    def urdf_path(self) -> Path:
-        """The robot's URDF."""
-        return self.robot.urdf
-
-    @functools.cached_property
-    def drake(self) -> "DrakeCell":
-        """The same cell as a MultibodyPlant with its collision checker, made when first asked for."""
-        from scanmotion.cell.scene import DrakeCell
-
-        return DrakeCell(self)
 
 
 def robot_path(settings: CellSettings) -> Path:
@@ -205,8 +161,6 @@ def _home(cell: Cell) -> np.ndarray:
 
     At 0.1 m/s a metre to the first viewpoint costs ten seconds: the default home stands 1 m off the axis.
     """
-    from scanmotion.cell.kinematics import branches
-
     if cell.settings.robot.home_deg is not None:
         home = np.append(np.deg2rad(cell.settings.robot.home_deg), 0.0)
         outside = [

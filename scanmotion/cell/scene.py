@@ -2,7 +2,8 @@
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydrake.common import Parallelism
@@ -11,10 +12,9 @@ from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelD
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 
+from scanmotion.cell.filter import IGNORED_PAIRS
+from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 from scanmotion.cell.robot import Body
-
-if TYPE_CHECKING:
-    from scanmotion.cell.plant import Cell
 
 _COLOURS = {"scanner": "0.15 0.16 0.18 1", "table": "0.72 0.73 0.75 1", "floor": "0.93 0.93 0.92 1"}
 _GREY = "0.45 0.46 0.48 1"
@@ -53,14 +53,12 @@ def _pose_yaml(X: np.ndarray) -> str:
     return f"{{translation: [{numbers[0]}], rotation: !Rpy {{deg: [{numbers[1]}]}}}}"
 
 
-def write_models(cell: "Cell", folder: Path) -> Path:
+def write_models(cell: Cell, folder: Path) -> Path:
     """Writes tool, turntable and surroundings as URDF and the directives that weld them; returns the latter.
 
     The table's solids stand in the world, where their turning does not matter; what turns with E1 carries
     the part.
     """
-    from scanmotion.cell.plant import TABLE, TOOL, WORLD
-
     of = {k: [b for b in cell.bodies if b.link == k] for k in (TOOL, TABLE, WORLD)}
     mass = cell.settings.tool.mass_kg
     (folder / "tool.urdf").write_text(_urdf_of("tool", of[TOOL], mass=mass, collide=True))
@@ -104,7 +102,7 @@ def write_models(cell: "Cell", folder: Path) -> Path:
     return path
 
 
-def _base_link(cell: "Cell") -> str:
+def _base_link(cell: Cell) -> str:
     from defusedxml.ElementTree import fromstring
 
     root = fromstring(cell.urdf_path.read_text(encoding="utf-8"))
@@ -113,7 +111,7 @@ def _base_link(cell: "Cell") -> str:
     return next(p for p in parents if p not in children)
 
 
-def add_cell(plant: MultibodyPlant, cell: "Cell") -> dict[str, Any]:
+def add_cell(plant: MultibodyPlant, cell: Cell) -> dict[str, Any]:
     """Parses the cell into `plant` (not finalized); returns model instances by name."""
     with tempfile.TemporaryDirectory() as folder:
         path = write_models(cell, Path(folder))
@@ -128,7 +126,7 @@ class DrakeCell:
     One instance belongs to one thread.
     """
 
-    def __init__(self, cell: "Cell") -> None:
+    def __init__(self, cell: Cell) -> None:
         builder = RobotDiagramBuilder(time_step=0.0)
         instances = add_cell(builder.plant(), cell)
         builder.plant().Finalize()
@@ -146,15 +144,13 @@ class DrakeCell:
         self.groups = self._groups(cell)
         self._filter(cell)
 
-    def _joint_order(self, cell: "Cell") -> np.ndarray:
+    def _joint_order(self, cell: Cell) -> np.ndarray:
         """Index of each of A1..A6, E1 in the plant's position vector."""
         names = [*cell.settings.robot.joints, "E1"]
         return np.array([self.plant.GetJointByName(n).position_start() for n in names])
 
-    def _groups(self, cell: "Cell") -> dict[str, int]:
+    def _groups(self, cell: Cell) -> dict[str, int]:
         """Value of Body.link for the name of each of the plant's bodies."""
-        from scanmotion.cell.plant import TABLE, TOOL, WORLD
-
         joints = [self.plant.GetJointByName(n) for n in cell.settings.robot.joints]
         links = [joints[0].parent_body(), *(j.child_body() for j in joints)]
         return {b.name(): n for n, b in enumerate(links)} | {
@@ -163,10 +159,8 @@ class DrakeCell:
             "surroundings": WORLD,
         }
 
-    def _filter(self, cell: "Cell") -> None:
+    def _filter(self, cell: Cell) -> None:
         """Links that touch by construction are not judged against one another."""
-        from scanmotion.cell.filter import IGNORED_PAIRS
-
         joints = [self.plant.GetJointByName(n) for n in cell.settings.robot.joints]
         bodies = [
             joints[0].parent_body(),
@@ -209,3 +203,13 @@ class DrakeCell:
         # Drake counts distances from the padding on.
         excess = float(found.distances()[i])
         return excess, excess + self._asked[self.groups.get(b, 9) > 7], (a, b)
+
+
+_PLANTS: WeakKeyDictionary[Cell, DrakeCell] = WeakKeyDictionary()
+
+
+def drake_of(cell: Cell) -> DrakeCell:
+    """The same cell as a MultibodyPlant with its collision checker, made when first asked for."""
+    if cell not in _PLANTS:
+        _PLANTS[cell] = DrakeCell(cell)
+    return _PLANTS[cell]

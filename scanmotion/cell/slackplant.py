@@ -22,7 +22,7 @@ from scanmotion.cell.filter import IGNORED_PAIRS
 from scanmotion.cell.scene import add_cell
 
 if TYPE_CHECKING:
-    from scanmotion.cell.plant import Cell
+    from scanmotion.cell.model import Cell
 
 _AIM_M = 2e-5
 _AIM_RAD = 1e-4

@@ -1,0 +1,49 @@
+"""What a cell is: the solids, frames, joints and limits of arm, scanner, turntable and surroundings."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from scanmotion.cell.config import CellSettings
+from scanmotion.cell.robot import Body, Robot
+from scanmotion.part import Part
+
+TOOL, TABLE, WORLD = 7, 8, 9
+"""Values of Body.link beside 0..6."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Cell:
+    """What exists in the cell and never changes while a plan is made. Joints: A1..A6 and the table E1."""
+
+    settings: CellSettings
+    part: Part | None
+    robot: Robot
+    X_WB: np.ndarray
+    """Robot base in the world, shape (4, 4)."""
+    X_FS: np.ndarray
+    """Scanner in the flange."""
+    X_WT: np.ndarray
+    """Turntable at angle zero in the world, origin on its surface."""
+    X_TO: np.ndarray
+    """Object on the turntable."""
+    joint_names: tuple[str, ...]
+    q_min: np.ndarray
+    """Shape (7,) [rad]; -inf for an endless table."""
+    q_max: np.ndarray
+    v_max: np.ndarray
+    """Shape (7,) [rad/s]."""
+    a_max: np.ndarray
+    """Shape (7,) [rad/s2]."""
+    j_max: np.ndarray
+    """Shape (7,) [rad/s3]."""
+    home: np.ndarray
+    """Where a programme starts, shape (7,) [rad]."""
+    bodies: tuple[Body, ...]
+    """Every solid but the part: links, tool, table, pedestal, floor and obstacles."""
+
+    @property
+    def urdf_path(self) -> Path:
+        """The robot's URDF."""
+        return self.robot.urdf
