@@ -26,8 +26,8 @@ from scanmotion.viewpoints.coverage import Scene, scene_from, visible
 from scanmotion.viewpoints.frontier import Space
 from scanmotion.viewpoints.holes import HoleReport, holes_from_cloud
 from scanmotion.viewpoints.local import local_viewpoints
-from scanmotion.viewpoints.model import closed_model
-from scanmotion.viewpoints.select import local_step
+from scanmotion.viewpoints.model import ClosedModel, closed_model
+from scanmotion.viewpoints.select import SelectOptions, local_step
 from scanmotion.viewpoints.stepped_rotary import stepped_rotary
 from scanmotion.viewpoints.surface_partitioning import surface_partitioning
 from scanmotion.viewpoints.viewpoint import Viewpoint
@@ -37,6 +37,10 @@ __all__ = ["PlanOptions", "plan"]
 Source = Literal["mesh", "box", "scan"]
 Mode = Literal["default", "paper"]
 Strategy = Literal["two-step", "cad-slicing", "surface-partitioning"]
+
+
+_THOROUGH_RATE = 2.5e-6
+"""Least share of the surface per second that a viewpoint of a thorough plan adds [1/s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +66,8 @@ class PlanOptions:
     """What the simulated scanner, arm and table get wrong."""
     occlusion_aware: bool = True
     """Local viewpoints are chosen on a closed model; False: the grid over each hole's box."""
+    thorough: bool = False
+    """Fill the budget: local viewpoints are taken down to slivers that repay a tenth of what others do."""
     reach_feedback: bool = True
     """Only what the robot reaches is chosen; False: reach is asked for afterwards."""
     turntable: Literal["axis", "fallback"] = "axis"
@@ -130,6 +136,7 @@ class _Trip:
         )
         self.shunned: list[np.ndarray] = []
         self.claimed: list[np.ndarray] = []
+        self.model: ClosedModel | None = None
         self.scene: Scene | None = None
         self.samples: SurfaceSamples | None = None
         self.seen = np.zeros(0, bool)
@@ -223,6 +230,8 @@ class _Trip:
             frontier=self.space.frontier(self.cloud.points) if self.scans else None,
             seconds=self._seconds_left(),
             claimed=np.concatenate(self.claimed) if self.claimed else None,
+            model=self.model,
+            options=SelectOptions(least_rate=_THOROUGH_RATE) if self.options.thorough else None,
             table_radius=self.settings.turntable.diameter_m / 2,
             table_z=self.table_z,
             reachable=self._reachable if self.options.reach_feedback else None,
@@ -230,12 +239,13 @@ class _Trip:
         )  # fmt: skip
         self.unscanned = step.unseen
         self.claimed.append(step.claimed)
+        self.model = step.model
         return step.viewpoints
 
     def _seconds_left(self) -> float:
-        """Of the budget, for the next round [s]."""
+        """Of the budget, for the next round, with some in hand because its order is not known yet [s]."""
         spent = 0.0 if self.trajectory is None else float(self.trajectory.t[-1])
-        return max(self.settings.process.budget_s - spent, 0.0)
+        return 0.9 * max(self.settings.process.budget_s - spent, 0.0)
 
     def _reachable(self, X_OS: np.ndarray) -> np.ndarray:
         """What the robot reaches, without the neighbourhood of what it has tried."""
@@ -298,6 +308,9 @@ class _Trip:
         """All that was found, in one value."""
         if self.options.source == "mesh":
             self.completeness()
+            if len(self.scans) > 1:
+                with self.watch("twin"):
+                    self.cloud = fuse(self.scans, voxel=self.options.voxel)
         return Plan(
             part=self.part, cell=self.cell, options=self.options, rounds=tuple(self.rounds),
             trajectory=self.trajectory, cloud=self.cloud, holes=self.holes, samples=self.samples,

@@ -5,7 +5,7 @@ and Hoppe 2006, "Poisson surface reconstruction"), here on a regular grid by the
 answer is the same to the last bit every time, which Open3D's octree solver does not promise.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
@@ -41,6 +41,10 @@ class ClosedModel:
         """Outward normals of the triangles, as long as twice their area, shape (m, 3) [m2]."""
         a, b, c = (self.vertices[self.triangles[:, i]] for i in range(3))
         return np.cross(b - a, c - a)
+
+    def measured(self, points: np.ndarray) -> "ClosedModel":
+        """The same surface with the distances from other scanned points (n, 3)."""
+        return replace(self, distance=cKDTree(points).query(self.centres)[0])
 
     @property
     def area(self) -> float:

@@ -88,6 +88,7 @@ def local_step(
     table_z: float = 0.0,
     frontier: Frontier | None = None,
     claimed: np.ndarray | None = None,
+    model: ClosedModel | None = None,
     reachable: Reachable | None = None,
     seconds: float = np.inf,
     prefix: str = "L",
@@ -107,6 +108,7 @@ def local_step(
         frontier: where the frames left space open, narrow strips under ledges above all; None where the
             frames are not known.
         claimed: targets that earlier rounds should have seen, shape (k, 3).
+        model: of an earlier round, whose shape is kept; None makes one of the points.
         reachable: tells which poses (n, 4, 4) the robot reaches; None for all.
         seconds: what the chosen may take together, roughly [s].
         prefix: of the viewpoints' ids.
@@ -114,7 +116,10 @@ def local_step(
         rng: draws the targets.
     """
     options = options or SelectOptions()
-    model = closed_model(points, normals, spacing=spacing, table_z=table_z)
+    if model is None:
+        model = closed_model(points, normals, spacing=spacing, table_z=table_z)
+    else:
+        model = model.measured(points)
     scene = _scene(model, table_radius, table_z)
     targets = _targets(model, frontier, claimed, options, table_z, rng)
     if len(targets.points) == 0:
