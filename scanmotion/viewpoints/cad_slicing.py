@@ -1,8 +1,8 @@
 """CAD slicing, one of the methods that the paper compares with: passes round horizontal slices of the mesh.
 
 After Xi and Shu, Computer-Aided Design 31 (1999) 473-479, known here from its abstract: bands no taller than
-the field of view, the offset of each band's profile by the standoff, views along it. Needs the true mesh, and
-sees neither top nor bottom.
+the field of view, the offset of each band's profile by the standoff, a pass along that offset. Needs the true
+mesh, and has no view from above or below.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ _OVERLAP = 0.10
 def cad_slicing(
     part: Part, scanner: Scanner, *, standoff: float = 0.7, table_z: float = 0.0
 ) -> tuple[Viewpoint, ...]:
-    """Views round each band's convex profile, `standoff` before it.
+    """Views along the offset of each band's convex profile, at most a field's width apart.
 
     Args:
         part: the true mesh.
@@ -43,7 +43,7 @@ def cad_slicing(
     for b in range(bands):
         inside = points[(points[:, 2] >= edges[b]) & (points[:, 2] <= edges[b + 1])]
         z = max((edges[b] + edges[b + 1]) / 2, table_z + 0.09)
-        for p, direction in _around(inside[:, :2], standoff, wide):
+        for p, direction in _offset(inside[:, :2], standoff, wide):
             X_OS = look_at(np.array([*p, z]), np.array([*direction, 0.0]), roll=UPRIGHT)
             views.append(
                 Viewpoint(
@@ -54,31 +54,28 @@ def cad_slicing(
     return tuple(views)
 
 
-def _around(profile: np.ndarray, standoff: float, width: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Positions and inward directions on a convex profile's offset, at most `width` apart on the profile."""
+def _offset(profile: np.ndarray, standoff: float, width: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Positions on the offset of a convex profile, evenly spaced at most `width` apart, and inward directions.
+
+    The offset of a polygon is its sides moved outwards and an arc round every corner.
+    """
     if len(profile) < 3:
         return []
     corners = profile[ConvexHull(profile).vertices]
     sides = np.roll(corners, -1, axis=0) - corners
     lengths = np.linalg.norm(sides, axis=1)
-    around = np.concatenate([[0.0], np.cumsum(lengths)])
-    n = max(4, int(np.ceil(around[-1] / width)))
-    marks = (np.arange(n) + 0.5) / n * around[-1]
-    side = np.clip(np.searchsorted(around, marks, side="right") - 1, 0, len(lengths) - 1)
-    at = corners[side] + ((marks - around[side]) / lengths[side])[:, None] * sides[side]
-    # The profile's normal over a field's width: a polygon's own would jump at its corners.
-    ahead = _along(corners, around, lengths, sides, marks + width / 2)
-    behind = _along(corners, around, lengths, sides, marks - width / 2)
-    tangent = ahead - behind
-    outward = np.column_stack([tangent[:, 1], -tangent[:, 0]])
-    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
-    return [(p + standoff * o, -o) for p, o in zip(at, outward, strict=True)]
-
-
-def _along(
-    corners: np.ndarray, around: np.ndarray, lengths: np.ndarray, sides: np.ndarray, marks: np.ndarray
-) -> np.ndarray:
-    """Points of a closed polygon at distances `marks` along it."""
-    marks = np.mod(marks, around[-1])
-    side = np.clip(np.searchsorted(around, marks, side="right") - 1, 0, len(lengths) - 1)
-    return corners[side] + ((marks - around[side]) / lengths[side])[:, None] * sides[side]
+    # Side i starts at corner i; its outward normal's angle, and the turn at the corner after it.
+    angle = np.arctan2(-sides[:, 0], sides[:, 1])
+    turn = np.mod(np.roll(angle, -1) - angle, 2 * np.pi)
+    pieces = np.column_stack([lengths, standoff * turn]).ravel()
+    ends = np.cumsum(pieces)
+    n = max(4, int(np.ceil(ends[-1] / width)))
+    views = []
+    for mark in (np.arange(n) + 0.5) / n * ends[-1]:
+        i, on_arc = divmod(min(int(np.searchsorted(ends, mark, side="right")), len(pieces) - 1), 2)
+        past = mark - (ends[2 * i + on_arc] - pieces[2 * i + on_arc])
+        along = lengths[i] if on_arc else past
+        a = angle[i] + (past / standoff if on_arc else 0.0)
+        out = np.array([np.cos(a), np.sin(a)])
+        views.append((corners[i] + along / lengths[i] * sides[i] + standoff * out, -out))
+    return views

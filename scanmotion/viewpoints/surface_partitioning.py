@@ -1,7 +1,9 @@
 """Surface partitioning, the other method that the paper compares with: one view for each nearly flat patch.
 
 The paper cites no source for it; this is an interpretation: regions grow from a seed while their normals stay
-within a limit of the seed's and their box within 0.85 of the field. Needs the true mesh.
+within a limit of the seed's and their box within 0.85 of the field. Of many seeds the one with the largest
+region is taken, until only scraps are left, so that the method is not burdened with needless views. Needs the
+true mesh.
 """
 
 import numpy as np
@@ -16,6 +18,12 @@ from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
 
 _SHARE = 0.85
 _SAMPLES = 6000
+_SEEDS = 24
+"""Seeds tried for each patch."""
+_SCRAP = 10e-4
+"""Patches smaller than this get no view of their own [m2]: their neighbours' views mostly see them."""
+_SCRAP_SHARE = 0.001
+"""The same as a share of the surface, for small parts."""
 
 
 def surface_partitioning(
@@ -24,7 +32,7 @@ def surface_partitioning(
     *,
     standoff: float = 0.7,
     table_z: float = 0.0,
-    deviation: float = np.deg2rad(40.0),
+    deviation: float = np.deg2rad(30.0),
 ) -> tuple[Viewpoint, ...]:
     """One view, `standoff` along the mean normal, for each patch.
 
@@ -41,18 +49,14 @@ def surface_partitioning(
     if not part.is_mesh:
         raise PartError("surface partitioning needs the true mesh")
     samples = surface_samples(part, _SAMPLES, rng=np.random.default_rng(0))
-    points, normals = samples.points, samples.normals
-    standing = (points[:, 2] < part.bounds[0, 2] + 1e-3) & (normals[:, 2] < -0.9)
-    free = ~standing
+    points = samples.points
+    graph = _neighbours(points, samples.normals)
+    normals = _smoothed(samples.normals, graph)
+    standing = (points[:, 2] < part.bounds[0, 2] + 1e-3) & (samples.normals[:, 2] < -0.9)
+    half = tuple(float(side) * _SHARE / 2 for side in scanner.field(standoff))
+    least = min(_SCRAP / samples.area, _SCRAP_SHARE * _SAMPLES)
     views: list[Viewpoint] = []
-    graph = _neighbours(points, normals)
-    long, short = (float(side) * _SHARE / 2 for side in scanner.field(standoff))
-    while free.any():
-        seed = int(np.flatnonzero(free)[np.argmax(points[free, 2])])
-        members = _grown(seed, points, normals, free, graph, (long, short), deviation)
-        free[members] = False
-        if len(members) < _SAMPLES / 2000:
-            continue
+    for members in _patches(points, normals, ~standing, graph, half, deviation, least):
         n = normals[members].mean(axis=0)
         n /= np.linalg.norm(n)
         p = points[members].mean(axis=0) + standoff * n
@@ -65,6 +69,38 @@ def surface_partitioning(
             )
         )  # fmt: skip
     return tuple(views)
+
+
+def _patches(
+    points: np.ndarray,
+    normals: np.ndarray,
+    free: np.ndarray,
+    graph: coo_array,
+    half: tuple[float, ...],
+    deviation: float,
+    least: float,
+) -> list[np.ndarray]:
+    """Samples of each patch: of several seeds the largest region is cut out, while it has `least` samples."""
+    free, rng, out = free.copy(), np.random.default_rng(1), []
+    while free.any():
+        seeds = rng.choice(np.flatnonzero(free), size=min(_SEEDS, int(free.sum())), replace=False)
+        grown = [_grown(int(seed), points, normals, free, graph, half, deviation) for seed in seeds]
+        largest = max(grown, key=len)
+        if len(largest) >= least:
+            out.append(largest)
+            free[largest] = False
+        else:
+            # None of these seeds will do better later: regions only shrink.
+            free[seeds] = False
+    return out
+
+
+def _smoothed(normals: np.ndarray, graph: coo_array) -> np.ndarray:
+    """Mean normal of each sample and its neighbours: a chiselled surface is one patch, not many facets."""
+    for _ in range(2):
+        normals = normals + np.column_stack([graph @ normals[:, k] for k in range(3)])
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return normals
 
 
 def _neighbours(points: np.ndarray, normals: np.ndarray) -> coo_array:
@@ -82,16 +118,14 @@ def _grown(
     normals: np.ndarray,
     free: np.ndarray,
     graph: coo_array,
-    half: tuple[float, float],
+    half: tuple[float, ...],
     deviation: float,
 ) -> np.ndarray:
     """Free samples joined with the seed, alike in normal and inside the field about the seed."""
     X = look_at(points[seed], -normals[seed])
     local = (points - points[seed]) @ X[:3, :3]
     fits = free & (normals @ normals[seed] >= np.cos(deviation))
-    fits &= (
-        (np.abs(local[:, 0]) <= half[0]) & (np.abs(local[:, 1]) <= half[1]) & (np.abs(local[:, 2]) < 0.15)
-    )
+    fits &= (np.abs(local[:, 0]) <= half[0]) & (np.abs(local[:, 1]) <= half[1]) & (np.abs(local[:, 2]) < 0.15)
     both = fits[graph.row] & fits[graph.col]
     inner = coo_array((graph.data[both], (graph.row[both], graph.col[both])), shape=graph.shape)
     _, label = connected_components(inner, directed=False)
