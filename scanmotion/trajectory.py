@@ -47,7 +47,7 @@ class Trajectory:
     qdd: np.ndarray
     """Shape (N, 7) [rad/s2]."""
     operation: np.ndarray
-    """Index of the operation that each sample belongs to, shape (N,); a shared instant belongs to the earlier."""
+    """Index of the operation that each sample belongs to (N,); a shared instant belongs to the earlier."""
     operations: tuple[Operation, ...]
 
     @property

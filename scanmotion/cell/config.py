@@ -131,14 +131,14 @@ class CellSettings(_Settings):
     """All that describes a cell; `load_cell` reads it from YAML."""
 
     name: str = "cell"
-    robot: RobotSettings = RobotSettings()
-    base: BaseSettings = BaseSettings()
-    tool: ToolSettings = ToolSettings()
-    turntable: TurntableSettings = TurntableSettings()
-    pedestal: PedestalSettings = PedestalSettings()
+    robot: RobotSettings = RobotSettings.model_validate({})
+    base: BaseSettings = BaseSettings.model_validate({})
+    tool: ToolSettings = ToolSettings.model_validate({})
+    turntable: TurntableSettings = TurntableSettings.model_validate({})
+    pedestal: PedestalSettings = PedestalSettings.model_validate({})
     obstacles: tuple[ObstacleSettings, ...] = ()
-    scanner: ScannerSettings = ScannerSettings()
-    process: ProcessSettings = ProcessSettings()
+    scanner: ScannerSettings = ScannerSettings.model_validate({})
+    process: ProcessSettings = ProcessSettings.model_validate({})
 
     folder: str = Field("", exclude=True, description="where the YAML lies; model paths are relative to it")
 

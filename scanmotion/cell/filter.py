@@ -128,15 +128,17 @@ def signed_distance_grid(part: Part, spacing: float = GRID_M) -> tuple[np.ndarra
     import open3d as o3d
 
     scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(part.vertices.astype(np.float32), part.triangles.astype(np.uint32))
+    vertices: Any = part.vertices.astype(np.float32)
+    triangles: Any = part.triangles.astype(np.uint32)
+    scene.add_triangles(vertices, triangles)
     low = part.bounds[0] - 6 * spacing
     shape = np.ceil((part.extent + 12 * spacing) / spacing).astype(int) + 1
     axes = [low[i] + spacing * np.arange(shape[i]) for i in range(3)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).astype(np.float32)
+    points: Any = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).astype(np.float32)
     if part.closed:
-        values = scene.compute_signed_distance(o3d.core.Tensor(points)).numpy()
+        values = scene.compute_signed_distance(points).numpy()
     else:
-        values = scene.compute_distance(o3d.core.Tensor(points)).numpy()
+        values = scene.compute_distance(points).numpy()
     return np.ascontiguousarray(values, dtype=np.float32), low
 
 

@@ -56,7 +56,7 @@ def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
     X_WB = pose(settings.base.position_m, np.deg2rad(settings.base.yaw_deg))
     X_WT = pose((*table.position_m, table.height_m))
     limits = _limits(settings, robot)
-    frame = dict(
+    frame: dict[str, Any] = dict(
         settings=settings, part=part, robot=robot, X_WB=X_WB, X_FS=tool_pose(settings), X_WT=X_WT,
         X_TO=pose((0.0, 0.0, settings.pedestal.height_m)), joint_names=(*settings.robot.joints, "E1"),
         bodies=(*robot.bodies, *_tool_bodies(settings), *_still_bodies(settings)), **limits,

@@ -26,7 +26,7 @@ def _urdf_of(name: str, bodies: list[Body], *, mass: float, collide: bool) -> st
     out = [f'<robot name="{name}"><link name="{name}">']
     out += [f'<inertial><mass value="{mass}"/><inertia {inertia}/></inertial>']
     for body in bodies:
-        rpy = RollPitchYaw(RigidTransform(body.X_LG).rotation()).vector()
+        rpy = _roll_pitch_yaw(body.X_LG)
         origin = f'<origin xyz="{_text(body.X_LG[:3, 3])}" rpy="{_text(rpy)}"/>'
         if body.shape == "box":
             shape = f'<geometry><box size="{_text(body.size)}"/></geometry>'
@@ -43,12 +43,16 @@ def _urdf_of(name: str, bodies: list[Body], *, mass: float, collide: bool) -> st
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
+def _roll_pitch_yaw(X: Any) -> Any:
+    return RollPitchYaw(RigidTransform(X).rotation()).vector()
+
+
 def _text(values: Any) -> str:
     return " ".join(f"{float(v):.12g}" for v in values)
 
 
 def _pose_yaml(X: np.ndarray) -> str:
-    rpy = np.rad2deg(RollPitchYaw(RigidTransform(X).rotation()).vector())
+    rpy = np.rad2deg(_roll_pitch_yaw(X))
     numbers = ", ".join(f"{v:.12g}" for v in X[:3, 3]), ", ".join(f"{v:.12g}" for v in rpy)
     return f"{{translation: [{numbers[0]}], rotation: !Rpy {{deg: [{numbers[1]}]}}}}"
 
@@ -106,16 +110,16 @@ def _base_link(cell: Cell) -> str:
     from defusedxml.ElementTree import fromstring
 
     root = fromstring(cell.urdf_path.read_text(encoding="utf-8"))
-    children = {j.find("child").get("link") for j in root.iter("joint")}
-    parents = [j.find("parent").get("link") for j in root.iter("joint")]
+    children = {link.get("link") for link in root.iterfind("joint/child")}
+    parents = [link.get("link", "") for link in root.iterfind("joint/parent")]
     return next(p for p in parents if p not in children)
 
 
 def add_cell(plant: MultibodyPlant, cell: Cell) -> dict[str, Any]:
     """Parses the cell into `plant` (not finalized); returns model instances by name."""
     with tempfile.TemporaryDirectory() as folder:
-        path = write_models(cell, Path(folder))
-        added = ProcessModelDirectives(LoadModelDirectives(str(path)), plant, Parser(plant))
+        path: Any = str(write_models(cell, Path(folder)))
+        added = ProcessModelDirectives(LoadModelDirectives(path), plant, Parser(plant))
     return {info.model_name: info.model_instance for info in added}
 
 
@@ -131,13 +135,14 @@ class DrakeCell:
         instances = add_cell(builder.plant(), cell)
         builder.plant().Finalize()
         process = cell.settings.process
-        self.checker = SceneGraphCollisionChecker(
+        options: dict[str, Any] = dict(
             model=builder.Build(),
             robot_model_instances=[instances["arm"], instances["tool"]],
             edge_step_size=0.05,
             env_collision_padding=process.clearance_m,
             self_collision_padding=process.self_clearance_m,
         )
+        self.checker = SceneGraphCollisionChecker(**options)
         self.plant = self.checker.plant()
         self._asked = (process.self_clearance_m, process.clearance_m)
         self._order = self._joint_order(cell)

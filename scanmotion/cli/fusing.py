@@ -135,7 +135,7 @@ def _seen_from(part: Any, points: Any) -> Any:
 
 def write_surface(path: Path, cloud: Any) -> str:
     """The surface through a cloud as binary PLY in mm; says how much it is."""
-    from scanmotion.scan.files import write_ply
+    from scanmotion.scan.plyfile import write_ply
     from scanmotion.scan.surface import surface
 
     vertices, triangles = surface(cloud)

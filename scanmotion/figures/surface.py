@@ -138,7 +138,8 @@ def _relief_normals(height: np.ndarray, hit: np.ndarray, view: View) -> np.ndarr
 
     weight = gaussian_filter(hit.astype(float), 1.5)
     smooth = gaussian_filter(np.where(hit, height, 0.0), 1.5) / np.maximum(weight, 1e-9)
-    down, right = np.gradient(smooth, view.scale)
+    slopes: Any = np.gradient(smooth, view.scale)
+    down, right = slopes
     normals = view.toward - right[hit][:, None] * view.right + down[hit][:, None] * view.up
     return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 

@@ -10,6 +10,7 @@ from scanmotion.errors import InputError
 from scanmotion.part import Part
 from scanmotion.scan.assess import signed_distances
 from scanmotion.scan.fuse import Cloud
+from scanmotion.scan.plyfile import write_ply
 
 
 def surface(cloud: Cloud, *, depth: int = 9, trim: float = 0.004) -> tuple[np.ndarray, np.ndarray]:
@@ -60,8 +61,6 @@ class DeviationMesh:
 
     def save(self, path: str | Path) -> None:
         """Writes a binary PLY in millimetres with the distances as `quality` [mm]."""
-        from scanmotion.scan.files import write_ply
-
         write_ply(
             Path(path), self.vertices * 1e3, triangles=self.triangles, colors=self.colors,
             quality=self.distance * 1e3,

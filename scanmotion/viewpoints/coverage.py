@@ -59,9 +59,9 @@ def scene_from(
         if pedestal_radius > 0 and table_z < 0:
             parts.append(_tube(pedestal_radius, table_z, -1e-4))
     for v, t in parts:
-        raycaster.add_triangles(
-            np.ascontiguousarray(v, dtype=np.float32), np.ascontiguousarray(t, dtype=np.uint32)
-        )
+        vertices_f: Any = np.ascontiguousarray(v, dtype=np.float32)
+        triangles_u: Any = np.ascontiguousarray(t, dtype=np.uint32)
+        raycaster.add_triangles(vertices_f, triangles_u)
     return Scene(
         raycaster=raycaster,
         table_z=table_z if table_radius is not None else -np.inf,

@@ -5,6 +5,7 @@ behind a ledge, the mouth of a groove too narrow for a hole in the cloud, a flan
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -107,10 +108,11 @@ class Space:
 
 
 def _frontier_of(state: np.ndarray, low: np.ndarray, edge: float) -> Frontier:
-    near = ndimage.binary_dilation(state == _OCCUPIED)
+    near = np.asarray(ndimage.binary_dilation(state == _OCCUPIED), dtype=bool)
     free = state == _FREE
     open_ = (state == _UNKNOWN) & ~near & ndimage.binary_dilation(free)
-    label, count = ndimage.label(open_, structure=np.ones((3, 3, 3)))
+    labels: Any = ndimage.label(open_, structure=np.ones((3, 3, 3)))
+    label, count = labels
     size = np.bincount(label.ravel(), minlength=count + 1)
     at = np.argwhere(open_ & (size[label] >= 4))
     inner = np.clip(at, 1, np.array(state.shape) - 2)

@@ -6,6 +6,7 @@ answer is the same to the last bit every time, which Open3D's octree solver does
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import fft
@@ -111,7 +112,7 @@ def _indicator(
     laplace[0, 0, 0] = 1.0
     spectrum = spectrum / laplace
     spectrum[0, 0, 0] = 0.0
-    chi = fft.idctn(spectrum, type=2, norm="ortho")
+    chi: Any = fft.idctn(spectrum, type=2, norm="ortho")
     level = np.median(map_coordinates(chi, at[:: max(1, len(at) // 50_000)].T, order=1))
     return chi - level
 

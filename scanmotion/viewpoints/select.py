@@ -141,7 +141,7 @@ def local_step(
         _view(poses[c], kinds[c], f"{prefix}{n}", g)
         for n, (c, g) in enumerate(zip(chosen, gains, strict=True), 1)
     )
-    covered = matrix[chosen].any(axis=0) if chosen else np.zeros(len(targets.points), bool)
+    covered = np.asarray(matrix[chosen].any(axis=0)) if chosen else np.zeros(len(targets.points), bool)
     return LocalStep(
         viewpoints=views, unseen=_patches(targets, covered, matrix, arm), model=model,
         targets=targets.points, claimed=targets.points[covered], gains=tuple(gains),
