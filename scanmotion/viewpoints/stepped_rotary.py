@@ -9,11 +9,12 @@ import numpy as np
 
 from scanmotion.errors import InputError
 from scanmotion.scanner import Scanner
+from scanmotion.viewpoints.coverage import in_view, revolution_poses
 from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
 
 UPRIGHT = -np.pi / 2
 """Roll that stands the long side l upright, with the projector above the camera, clear of the table."""
-_LOW, _ABOVE, _STEEP, _TOP = np.deg2rad([-20.0, 30.0, 45.0, 65.0])
+_LOW, _ABOVE, _STEEP = np.deg2rad([-20.0, 30.0, 45.0])
 _YAW = np.deg2rad(15.0)
 _FAR = 0.95
 """The far turns stand at this share of the range from the axis."""
@@ -23,6 +24,13 @@ _ROW = 0.65
 """Greatest height of a row of turns [m]."""
 _LEAST_HEIGHT = 0.02
 """Least height of the optical centre above the table in the default mode [m]."""
+_ENOUGH = 0.985
+"""Turns are added until they see this share of the box's sides and top."""
+_WORTH = 0.005
+"""A turn that adds a smaller share than this is not added."""
+_POSES = 30
+_CLEAR = 0.25
+"""Added turns keep the optical centre so far outside the box's cylinder [m]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,7 +58,8 @@ def stepped_rotary(
     from 30 deg below. The default keeps the idea and chooses inclination, distance and lateral offset by the
     coverage that they predict: four turns, found by exchange over 540 turns on nine sculptures and reliefs
     (docs/method.md), two of which look up from beside the table and three past the axis; taller parts get
-    more rows, wide ones a turn over the middle of the top.
+    more rows. Where these leave part of the box's own sides and top unseen, as on wide boxes, more turns are
+    added by what they see of it.
 
     Args:
         length: L along x [m].
@@ -109,8 +118,6 @@ def _default(length: float, width: float, height: float, scanner: Scanner, pedes
     rows = max(1, int(np.ceil(height / _ROW - 1e-9)))
     close = near + radius * np.cos(_STEEP) + _GAP
     turns = [(_STEEP, _YAW, height * (1 - 0.2 / rows), close, "from steeply above, past the axis")]
-    if close > _FAR * far:
-        turns.append((_TOP, 0.0, height, _FAR * far, "the middle of the top"))
     for k in reversed(range(rows)):
         d = max(_FAR * far, near + radius * np.cos(_ABOVE) + _GAP)
         turns.append((_ABOVE, 0.0, height * (k + 0.2) / rows, d, "from above"))
@@ -127,8 +134,80 @@ def _default(length: float, width: float, height: float, scanner: Scanner, pedes
                 kind="revolution", slack=Slack(roll=False), note=note,
             )
         )  # fmt: skip
+    views += _added(length, width, height, scanner, views, floor=_LEAST_HEIGHT - pedestal)
     reason = "the table hides what a view from below would see; a pedestal would let it see more"
     return StepPlan(viewpoints=tuple(views), dropped=() if pedestal > 0.05 else (("VPn", reason),))
+
+
+def _added(
+    length: float, width: float, height: float, scanner: Scanner, views: list[Viewpoint], *, floor: float
+) -> list[Viewpoint]:
+    """Turns for what `views` leave of the box's sides and top, greedily."""
+    points, normals = _faces(length, width, height)
+
+    def seen_by(poses: np.ndarray) -> np.ndarray:
+        # A convex box hides nothing from an eye that its faces are turned to.
+        frames = np.concatenate([revolution_poses(X, _POSES) for X in poses])
+        seen = in_view(scanner, frames, points, normals)
+        return np.asarray(seen.reshape(len(poses), _POSES, -1).any(axis=1))
+
+    seen = seen_by(np.array([v.X_OS for v in views])).any(axis=0)
+    if seen.mean() >= _ENOUGH:
+        return []
+    poses, distances = _steps(float(np.hypot(length, width)) / 2, height, scanner, floor)
+    table = seen_by(poses)
+    out: list[Viewpoint] = []
+    while seen.mean() < _ENOUGH:
+        gain = (table & ~seen).mean(axis=1)
+        best = int(np.argmax(gain))
+        if gain[best] < _WORTH:
+            break
+        seen |= table[best]
+        out.append(
+            Viewpoint(
+                id=f"G{len(views) + len(out)}", X_OS=poses[best], standoff=distances[best], step="global",
+                kind="revolution", slack=Slack(roll=False), note=f"adds {gain[best]:.1%} of the box",
+            )
+        )  # fmt: skip
+    return out
+
+
+def _faces(length: float, width: float, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points spread evenly over the box's sides and top, and their normals, shape (n, 3) each."""
+    size = np.array([length, width, height])
+    pitch = np.sqrt((length * width + 2 * height * (length + width)) / 2500)
+    points, normals = [], []
+    for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1)):
+        u, v = (a for a in range(3) if a != axis)
+        nu, nv = (max(2, int(np.ceil(size[a] / pitch))) for a in (u, v))
+        grid = np.stack(
+            np.meshgrid((np.arange(nu) + 0.5) / nu - 0.5, (np.arange(nv) + 0.5) / nv - 0.5), axis=-1
+        )
+        face = np.full((nu * nv, 3), 0.5 * sign)
+        face[:, [u, v]] = grid.reshape(-1, 2)
+        points.append(face * size + [0, 0, height / 2])
+        normals.append(np.tile(sign * np.eye(3)[axis], (nu * nv, 1)))
+    return np.concatenate(points), np.concatenate(normals)
+
+
+def _steps(radius: float, height: float, scanner: Scanner, floor: float) -> tuple[np.ndarray, list[float]]:
+    """Turns aimed at steps across the top and up the sides of the box's cylinder, and their distances."""
+    near, far = scanner.range
+    rows = max(2, int(np.ceil(height / 0.2)))
+    aims = [(radius * share, height) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    aims += [(radius * share, height * (i + 0.5) / rows) for i in range(rows) for share in (0.6, 1.0)]
+    poses, distances = [], []
+    for across, up in aims:
+        for tilt in np.deg2rad([-20.0, 0.0, 20.0, 40.0, 60.0, 80.0]):
+            for distance in (near + 0.15, (near + far) / 2, _FAR * far):
+                for yaw in (-_YAW, 0.0, _YAW):
+                    c, s = np.cos(tilt), np.sin(tilt)
+                    line = np.array([c * np.cos(yaw), c * np.sin(yaw), s])
+                    p = np.array([across, 0.0, up]) + distance * line
+                    if p[2] >= floor and (np.hypot(*p[:2]) > radius + _CLEAR or p[2] > height + _CLEAR):
+                        poses.append(look_at(p, -line, roll=UPRIGHT))
+                        distances.append(distance)
+    return np.array(poses), distances
 
 
 def oblique_turn(
