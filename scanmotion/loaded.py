@@ -67,7 +67,7 @@ def load_plan(folder: str | Path) -> LoadedPlan:
         raise
     except ScanMotionError as error:
         raise PlanFileError(f"{folder}: {error}") from None
-    arrays = _arrays(folder)
+    arrays = arrays_of(folder)
     steps = [str(r.get("step")) for r in summary["rounds"] if isinstance(r, dict)]
     seen = arrays.get("seen", np.zeros((0, 0), bool))
     samples = None
@@ -122,7 +122,12 @@ def _holes(folder: Path) -> Any:
     return SimpleNamespace(holes=tuple(holes), tiny=(), notes=()) if holes else None
 
 
-def _arrays(folder: Path) -> dict[str, np.ndarray]:
+def arrays_of(folder: Path) -> dict[str, np.ndarray]:
+    """scan.npz of a plan folder; empty where there is none.
+
+    Raises:
+        PlanFileError: it cannot be read.
+    """
     path = folder / "scan.npz"
     if not path.is_file():
         return {}

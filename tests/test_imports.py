@@ -23,6 +23,9 @@ MAY_IMPORT = {
     "export": NOUNS | {"export", "planfile", "viewpoints"},
     "pipeline": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "outcome"},
     "loaded": NOUNS | {"viewpoints", "cell", "planfile"},
+    "replan": NOUNS
+    | {"cell", "scan", "motion", "planfile", "legs", "outcome", "pipeline", "loaded"}
+    | {"viewpoints"},
     "legs": NOUNS | {"viewpoints", "cell", "motion"},
     "outcome": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs"},
 }
