@@ -1,11 +1,12 @@
 """The paper's table 3 in our cell: methods, modes and ablations on the same part with the same noise.
 
-Zhang et al., Actuators 2025, 14(3), 139 (doi 10.3390/act14030139), table 3. Both methods that the paper compares
-with need the true mesh; the two-step method needs the bounding box and its own scans only.
+Zhang et al., Actuators 2025, 14(3), 139 (doi 10.3390/act14030139), table 3. Both methods that the paper
+compares with need the true mesh; the two-step method needs the bounding box and its own scans only.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -22,16 +23,58 @@ PAPER_TABLE_3 = {
 }
 """Integrity, accuracy [mm], standard deviation [mm], time [s] as printed in the paper, on its own object."""
 
-VARIANTS: dict[str, dict] = {
+VARIANTS: dict[str, dict[str, Any]] = {
     "two-step": {},
-    "two-step, paper mode": {"mode": "paper"},
+    "thorough": {"thorough": True},
+    "paper-mode": {"mode": "paper"},
     "cad-slicing": {"strategy": "cad-slicing"},
     "surface-partitioning": {"strategy": "surface-partitioning"},
-    "without occlusion": {"occlusion_aware": False},
-    "without feedback from reach": {"reach_feedback": False},
-    "turntable as fallback": {"turntable": "fallback"},
+    "without-occlusion": {"occlusion_aware": False},
+    "without-feedback": {"reach_feedback": False},
+    "turntable-fallback": {"turntable": "fallback"},
 }
-"""What each row changes in the options."""
+"""What each row changes in the options, and nothing else: cell, samples and noise are the same."""
+
+MEANINGS = {
+    "two-step": "the default: four turns, then local viewpoints chosen on a closed model",
+    "thorough": "the default, filling the budget of seconds",
+    "paper-mode": "the published formulas literally: its turns, its four cases, order by distance",
+    "cad-slicing": "passes round slices of the true mesh",
+    "surface-partitioning": "one view for each nearly flat patch of the true mesh",
+    "without-occlusion": "local viewpoints on a grid over each hole, whatever hides it",
+    "without-feedback": "local viewpoints are chosen before reach is asked for",
+    "turntable-fallback": "the table turns for local viewpoints only where the arm alone cannot",
+}
+"""Each row in words."""
+
+HEADER = (
+    "variant", "after the global step", "integrity", "mean mm", "sd mm", "time s", "time / floor", "views",
+    "left out", "paper: integrity, mm, sd mm, s",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figures:
+    """What one plan of one variant with one seed achieves."""
+
+    variant: str
+    seed: int
+    after_global: float
+    """Share of what can be seen, seen by the global step; for the one-step methods by the whole."""
+    integrity: float
+    """Share of what can be seen, seen by the whole plan."""
+    mean_abs_mm: float
+    sd_signed_mm: float
+    time_s: float
+    """Robot time."""
+    floor_s: float
+    """Lower bound on the time to visit the same viewpoints."""
+    viewpoints: int
+    """Served."""
+    unreachable: int
+    """Left out, those of the method that the cell leaves no room for included."""
+    planning_s: float
+    """On this machine."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,13 +82,17 @@ class Row:
     """One variant over all seeds: mean and half the spread (largest minus smallest) of each figure."""
 
     variant: str
+    after_global: tuple[float, float]
     integrity: tuple[float, float]
     """Share of what can be seen."""
     mean_abs_mm: tuple[float, float]
     sd_signed_mm: tuple[float, float]
     time_s: tuple[float, float]
+    floor_s: tuple[float, float]
     viewpoints: tuple[float, float]
     unreachable: tuple[float, float]
+    planning_s: tuple[float, float]
+    seeds: tuple[int, ...]
     paper: tuple[float, float, float, float] | None
     """The paper's own figures for this method, on its own object."""
 
@@ -72,43 +119,106 @@ def compare(
     Raises:
         InputError: an unknown variant, or no seed.
     """
-    unknown = [name for name in variants if name not in VARIANTS]
-    if unknown:
-        raise InputError(f"unknown variant {unknown[0]!r}; known: {', '.join(VARIANTS)}")
+    check_variants(variants)
     if not seeds:
         raise InputError("compare needs at least one seed")
-    base, rows, total = options or PlanOptions(), [], len(variants) * len(seeds)
+    rows, total = [], len(variants) * len(seeds)
     for name in variants:
-        figures = []
+        found = []
         for seed in seeds:
-            progress(name, (len(rows) * len(seeds) + len(figures)) / total)
-            figures.append(_figures(part, settings, replace(base, seed=seed, **VARIANTS[name])))
-        rows.append(_row(name, np.array(figures)))
+            progress(name, (len(rows) * len(seeds) + len(found)) / total)
+            found.append(figures(part, settings, name, seed=seed, options=options))
+        rows.append(row_from(found))
     progress("compare", 1.0)
     return tuple(rows)
 
 
-def _figures(part: Part, settings: CellSettings, options: PlanOptions) -> tuple[float, ...]:
-    result = plan(part, settings, options=options)
-    accuracy = result.accuracy()
-    final = result.completeness()["final"]
-    served = sum(len(item.leg.served) for item in result.rounds)
-    return (
-        final if final is not None else np.nan,
-        accuracy.mean_abs * 1e3 if accuracy else np.nan,
-        accuracy.sd_signed * 1e3 if accuracy else np.nan,
-        result.time_s()["total"],
-        served,
-        len(result.unreachable),
-    )
+def check_variants(variants: Sequence[str]) -> None:
+    """Refuses rows that the table does not have, or none at all.
+
+    Raises:
+        InputError: with the known ones.
+    """
+    unknown = [name for name in variants if name not in VARIANTS]
+    if unknown:
+        raise InputError(f"unknown variant {unknown[0]!r}; known: {', '.join(VARIANTS)}")
+    if not variants:
+        raise InputError(f"compare needs at least one variant; known: {', '.join(VARIANTS)}")
 
 
-def _row(name: str, figures: np.ndarray) -> Row:
-    spread = (figures.max(axis=0) - figures.min(axis=0)) / 2
-    pairs = [(float(m), float(s)) for m, s in zip(figures.mean(axis=0), spread, strict=True)]
-    method = VARIANTS[name].get("strategy", "two-step")
-    return Row(
-        variant=name, integrity=pairs[0], mean_abs_mm=pairs[1], sd_signed_mm=pairs[2],
-        time_s=pairs[3], viewpoints=pairs[4], unreachable=pairs[5],
-        paper=PAPER_TABLE_3[method] if name in PAPER_TABLE_3 or name.endswith("paper mode") else None,
+def figures(
+    part: Part, settings: CellSettings, variant: str, *, seed: int, options: PlanOptions | None = None
+) -> Figures:
+    """Plans and simulates one variant with one seed; arguments as for `compare`."""
+    told = replace(options or PlanOptions(), seed=seed, **VARIANTS[variant])
+    result = plan(part, settings, options=told)
+    accuracy, share, time_s = result.accuracy(), result.completeness(), result.time_s()
+    first, final = share["after_global"], share["final"]
+    return Figures(
+        variant=variant, seed=seed,
+        after_global=np.nan if first is None else float(first),
+        integrity=np.nan if final is None else float(final),
+        mean_abs_mm=accuracy.mean_abs * 1e3 if accuracy else np.nan,
+        sd_signed_mm=accuracy.sd_signed * 1e3 if accuracy else np.nan,
+        time_s=float(time_s["total"]), floor_s=float(time_s["floor"]),
+        viewpoints=sum(len(item.leg.served) for item in result.rounds),
+        unreachable=len(result.unreachable),
+        planning_s=float(result.planning_s["total"]),
     )  # fmt: skip
+
+
+def row_from(found: Sequence[Figures]) -> Row:
+    """The row of one variant: mean and half spread over its seeds.
+
+    Raises:
+        InputError: nothing to average, or figures of several variants.
+    """
+    names = {f.variant for f in found}
+    if len(names) != 1:
+        raise InputError(f"a row is of one variant, got {len(names)}")
+    name, pairs = names.pop(), {}
+    for field in fields(Figures):
+        if field.name not in ("variant", "seed"):
+            values = np.array([getattr(f, field.name) for f in found], float)
+            pairs[field.name] = (float(values.mean()), float(np.ptp(values)) / 2)
+    method = VARIANTS[name].get("strategy", "two-step")
+    theirs = PAPER_TABLE_3[method] if name in PAPER_TABLE_3 or name == "paper-mode" else None
+    return Row(variant=name, seeds=tuple(f.seed for f in found), paper=theirs, **pairs)
+
+
+def cells(row: Row) -> tuple[str, ...]:
+    """A row as text, in the order of HEADER: mean and half spread; beside it what the paper printed."""
+
+    def pair(value: tuple[float, float], form: str) -> str:
+        mean, spread = value
+        if not np.isfinite(mean):
+            return "not known"
+        return f"{mean:{form}}" + (f" +- {spread:{form}}" if spread > 0 else "")
+
+    paper = "" if row.paper is None else "{:.2%}, {:.2f}, {:.2f}, {:.0f}".format(*row.paper)
+    ratio = f"{row.time_s[0] / row.floor_s[0]:.2f}" if row.floor_s[0] > 0 else "not known"
+    return (
+        row.variant, pair(row.after_global, ".2%"), pair(row.integrity, ".2%"), pair(row.mean_abs_mm, ".3f"),
+        pair(row.sd_signed_mm, ".3f"), pair(row.time_s, ".1f"), ratio, pair(row.viewpoints, ".0f"),
+        pair(row.unreachable, ".0f"), paper,
+    )  # fmt: skip
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """The table in Markdown."""
+    lines = [HEADER, ("---",) * len(HEADER), *(cells(row) for row in rows)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def document(part: str, rows: Sequence[Row]) -> dict[str, Any]:
+    """The table for machines; a figure that is not known is null."""
+
+    def known(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return [known(v) for v in value]
+        return None if isinstance(value, float) and not np.isfinite(value) else value
+
+    return {
+        "part": part,
+        "rows": [{k: known(v) for k, v in asdict(row).items()} for row in rows],
+    }

@@ -3,10 +3,11 @@
 from scanmotion.cli.app import app
 from scanmotion.cli.arms import reach, robots
 from scanmotion.cli.cells import cell_app
+from scanmotion.cli.comparing import compare
 from scanmotion.cli.fusing import fuse
 from scanmotion.cli.geometry import holes, viewpoints
 from scanmotion.cli.looking import export, show, verify
-from scanmotion.cli.planning import compare, plan
+from scanmotion.cli.planning import plan
 
 __all__ = ["app", "main"]
 
@@ -15,7 +16,7 @@ for _command, _panel, _example in (
     (verify, "Plan", "scanmotion verify out"),
     (show, "Plan", "scanmotion show out"),
     (export, "Plan", "scanmotion export out --to krl"),
-    (compare, "Plan", "scanmotion compare --variant two-step --variant cad-slicing"),
+    (compare, "Plan", "scanmotion compare --variants two-step,cad-slicing --seeds 3 --out table.md"),
     (holes, "One stage alone", "scanmotion holes scan.ply --out holes.json"),
     (viewpoints, "One stage alone", "scanmotion viewpoints --box 330 200 600 --out viewpoints.csv"),
     (reach, "One stage alone", "scanmotion reach --robot kr240 --box 330 200 600"),

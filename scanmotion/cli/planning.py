@@ -1,4 +1,4 @@
-"""`scanmotion plan` and `scanmotion compare`."""
+"""`scanmotion plan`."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -168,50 +168,3 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("checks", "no finding" if not summary["findings"] else f"{len(summary['findings'])} findings"),
         ("planned in", f"{summary['planning_s']['total']:.1f} s"),
     ]  # fmt: skip
-
-
-def compare(
-    robot: Robot = None,
-    cell: CellFile = None,
-    part: PartFile = None,
-    units: Units = "mm",
-    up: Up = "+z",
-    variant: Annotated[
-        list[str] | None,
-        typer.Option("--variant", help="Row of the table; may be repeated. Default: the paper's three."),
-    ] = None,
-    seeds: Annotated[int, typer.Option("--seeds", min=1, max=100, help="Seeds 0..N-1 for each.")] = 1,
-    quiet: Quiet = False,
-    json: Json = False,
-) -> int:
-    """Compare scanning methods on one part: completeness, accuracy, time (table 3 of the paper)."""
-    settings = cell_from(robot, cell)
-    subject, _ = part_and_source(part, None, None, units=units, up=up)
-    from dataclasses import asdict
-
-    from scanmotion.comparison import compare as make_comparison
-
-    with progress_bar(quiet=quiet or json) as progress:
-        rows = make_comparison(
-            subject, settings, variants=variant or STRATEGIES, seeds=range(seeds), progress=progress
-        )
-    if json:
-        say_json([asdict(row) for row in rows])
-    elif not quiet:
-        header = ("variant", "integrity", "mean mm", "sd mm", "time s", "views", "left out", "paper")
-        print_table(f"Methods compared on {subject.name}", header, [comparison_row(row) for row in rows])
-    return OK
-
-
-def comparison_row(row: Any) -> tuple[str, ...]:
-    """A row of the comparison: mean and half spread over the seeds; beside it what the paper printed."""
-
-    def pair(value: tuple[float, float], form: str = ".2f") -> str:
-        mean, spread = value
-        return f"{mean:{form}}" + (f" +- {spread:{form}}" if spread > 0 else "")
-
-    paper = "" if row.paper is None else "{:.2%}, {:.2f} mm, {:.2f} mm, {:.0f} s".format(*row.paper)
-    return (
-        row.variant, pair(row.integrity, ".2%"), pair(row.mean_abs_mm, ".3f"), pair(row.sd_signed_mm, ".3f"),
-        pair(row.time_s, ".1f"), pair(row.viewpoints, ".0f"), pair(row.unreachable, ".0f"), paper,
-    )  # fmt: skip

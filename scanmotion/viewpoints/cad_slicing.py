@@ -55,7 +55,7 @@ def cad_slicing(
 
 
 def _offset(profile: np.ndarray, standoff: float, width: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Positions on the offset of a convex profile, evenly spaced at most `width` apart, and inward directions.
+    """Positions on the offset of a convex profile, evenly spaced by at most `width`, and inward directions.
 
     The offset of a polygon is its sides moved outwards and an arc round every corner.
     """

@@ -64,8 +64,9 @@ def surface_partitioning(
             continue
         views.append(
             Viewpoint(
-                id=f"P{len(views) + 1}", X_OS=look_at(p, -n), standoff=standoff, step="global", kind="station",
-                slack=Slack(roll=False), note=f"patch of {len(members) * samples.area * 1e4:.0f} cm2",
+                id=f"P{len(views) + 1}", X_OS=look_at(p, -n), standoff=standoff, step="global",
+                kind="station", slack=Slack(roll=False),
+                note=f"patch of {len(members) * samples.area * 1e4:.0f} cm2",
             )
         )  # fmt: skip
     return tuple(views)
