@@ -1,5 +1,6 @@
 """`scanmotion plan`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,6 +29,7 @@ from scanmotion.cli.inputs import (
 )  # fmt: skip
 from scanmotion.errors import InputError
 
+AGAIN = "Planning again"
 STRATEGIES = ("two-step", "cad-slicing", "surface-partitioning")
 
 
@@ -49,6 +51,28 @@ def plan(
         str, typer.Option("--mode", help="default, or paper: the published formulas literally.")
     ] = "default",
     seed: Seed = 0,
+    keep: Annotated[
+        Path | None,
+        typer.Option(
+            "--keep",
+            help="An earlier plan: what was executed stays, the rest is planned anew.",
+            rich_help_panel=AGAIN,
+        ),
+    ] = None,
+    done: Annotated[
+        str,
+        typer.Option(
+            "--done",
+            help="With --keep: the last viewpoint, or operation by number, that was executed.",
+            rich_help_panel=AGAIN,
+        ),
+    ] = "",
+    failed: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--failed", help="With --keep: a viewpoint to leave out; may be repeated.", rich_help_panel=AGAIN
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option("--out", help="Folder of the plan.", rich_help_panel=OUT)] = Path(
         "out"
     ),
@@ -61,19 +85,23 @@ def plan(
 ) -> int:
     """Plan a scan: viewpoints, order, motion, checks and files.
 
-    Without --part, --box or --scan the built-in carving is planned.
+    Without --part, --box or --scan the built-in carving is planned. With --keep an interrupted plan is
+    taken up again: its executed operations stay, what is left of its viewpoints is planned from there.
     """
     check_mode(mode)
     check_known("--strategy", strategy, STRATEGIES)
     check_out_folder(out)
-    settings = with_budget(cell_from(robot, cell), budget)
-    subject, source = part_and_source(part, box, scan, units=units, up=up, place=place)
-    from scanmotion.pipeline import PlanOptions
-    from scanmotion.pipeline import plan as make_plan
-
-    options = PlanOptions(source=source, mode=mode, strategy=strategy, seed=seed)  # pyright: ignore
+    only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
+    settings = subject = source = None
+    if keep is None:
+        settings = with_budget(cell_from(robot, cell), budget)
+        subject, source = part_and_source(part, box, scan, units=units, up=up, place=place)
     with progress_bar(quiet=quiet or json) as progress:
-        made = make_plan(subject, settings, options=options, progress=progress)
+        if keep is not None:
+            made = planned_again(keep, done, failed or (), budget, progress)
+        else:
+            told = {"source": source, "mode": mode, "strategy": strategy, "seed": seed}
+            made = planned(subject, settings, progress, **told)
         made.save(out, extras=pages(made, progress) if html else {})
     summary = read_summary(out)
     if json:
@@ -81,6 +109,34 @@ def plan(
     elif not quiet:
         print_summary(summary, out, html=html)
     return OK if passes(summary) else CHECK_FAILED
+
+
+def planned(subject: Any, settings: Any, progress: Any, **options: Any) -> Any:
+    """A new plan."""
+    from scanmotion.pipeline import PlanOptions, plan
+
+    return plan(subject, settings, options=PlanOptions(**options), progress=progress)
+
+
+def planned_again(keep: Any, done: str, failed: Sequence[str], budget: float | None, progress: Any) -> Any:
+    """What an earlier plan has not executed, planned anew behind what it has."""
+    from scanmotion.replan import replan
+
+    check_budget(budget)
+    return replan(keep, done=done, failed=failed, budget_s=budget, progress=progress)
+
+
+def only_with_keep(keep: Path | None, done: str, failed: Sequence[str] | None, **given: Any) -> None:
+    """Refuses options that contradict --keep, or need it.
+
+    Raises:
+        InputError: with the option.
+    """
+    if keep is None and (done or failed):
+        raise InputError(f"--{'done' if done else 'failed'}: only together with --keep")
+    wrong = [name for name, value in given.items() if value is not None]
+    if keep is not None and wrong:
+        raise InputError(f"--{wrong[0]}: the plan that --keep names has it already")
 
 
 def pages(made: Any, progress: Any) -> dict[str, str]:
@@ -102,10 +158,19 @@ def with_budget(settings: Any, budget: float | None) -> Any:
     """
     if budget is None:
         return settings
-    if not 0.0 < budget < 1e6:
-        raise InputError(f"--budget {budget:g}: must be a positive number of seconds")
+    check_budget(budget)
     process = settings.process.model_copy(update={"budget_s": budget})
     return settings.model_copy(update={"process": process})
+
+
+def check_budget(budget: float | None) -> None:
+    """Refuses a budget that is no time.
+
+    Raises:
+        InputError: it is not a positive number.
+    """
+    if budget is not None and not 0.0 < budget < 1e6:
+        raise InputError(f"--budget {budget:g}: must be a positive number of seconds")
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
