@@ -43,6 +43,10 @@ _THOROUGH_RATE = 2.5e-6
 """Least share of the surface per second that a viewpoint of a thorough plan adds [1/s]."""
 
 
+_SIDE_TRIP_S = 10.0
+"""A local viewpoint is taken only within this time of home or a viewpoint of the first leg [s]."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions:
     """What a plan may be told beside the part and the cell."""
@@ -98,7 +102,7 @@ def plan(
     Raises:
         PartError: the part does not fit the table, or is not what the source needs.
     """
-    trip = Trip(part, settings, options or PlanOptions(), progress)
+    trip = _Trip(part, settings, options or PlanOptions(), progress)
     if trip.options.source == "scan":
         trip.take_scan()
     elif trip.options.strategy == "two-step":
@@ -110,7 +114,7 @@ def plan(
     return trip.plan()
 
 
-class Trip:
+class _Trip:
     """What the stages have found so far."""
 
     def __init__(self, part: Part, settings: CellSettings, options: PlanOptions, progress: Progress) -> None:
@@ -188,14 +192,14 @@ class Trip:
             pedestal=self.settings.pedestal.height_m,
         )  # fmt: skip
         self.dropped += list(step.dropped)
-        self.run(step.viewpoints, "global", self._rng(2))
+        self._run(step.viewpoints, "global", self._rng(2))
 
     def single_step(self) -> None:
         """One of the two methods that the paper compares with; both need the mesh."""
         strategy = cad_slicing if self.options.strategy == "cad-slicing" else surface_partitioning
         with self.watch("viewpoints"):
             views = strategy(self.part, self.scanner, standoff=self.settings.process.standoff_m)
-        self.run(views, "global", self._rng(2))
+        self._run(views, "global", self._rng(2))
 
     def local_rounds(self) -> None:
         """Holes, local viewpoints, the same trip again, until nothing more is worth a round."""
@@ -212,7 +216,7 @@ class Trip:
                 views = self._local_views(self.holes, number)
             if not views:
                 return
-            self.run(renamed(views, f"R{number}" if number > 1 else ""), "local", self._rng(10 + number))
+            self._run(renamed(views, f"R{number}" if number > 1 else ""), "local", self._rng(10 + number))
             literal = self.options.mode == "paper" or not self.options.occlusion_aware
             if literal or self.options.source == "scan" or self._complete():
                 return
@@ -224,6 +228,8 @@ class Trip:
                 holes.holes, self.scanner, standoff=standoff, mode=self.options.mode, table_z=self.table_z
             )
         assert self.cloud is not None
+        # The holes of a measured scan are what was asked for: none is left for its seconds.
+        thorough = self.options.thorough or self.options.source == "scan"
         step = local_step(
             self.cloud.points, self.cloud.normals, holes.holes, self.scanner,
             spacing=self.options.voxel,
@@ -231,7 +237,7 @@ class Trip:
             seconds=self._seconds_left(),
             claimed=np.concatenate(self.claimed) if self.claimed else None,
             model=self.model,
-            options=SelectOptions(least_rate=_THOROUGH_RATE) if self.options.thorough else None,
+            options=SelectOptions(least_rate=_THOROUGH_RATE) if thorough else None,
             table_radius=self.settings.turntable.diameter_m / 2,
             table_z=self.table_z,
             reachable=self._reachable if self.options.reach_feedback else None,
@@ -249,25 +255,23 @@ class Trip:
 
     def _reachable(self, X_OS: np.ndarray) -> np.ndarray:
         """What the robot reaches, without the neighbourhood of what it has tried."""
-        mask = reachable_mask(self.cell, X_OS, clearance=self.clearance)
+        stops = [stop.q_in for item in self.rounds[:1] for stop in item.leg.tour.stops]
+        mask = reachable_mask(
+            self.cell, X_OS, clearance=self.clearance,
+            near_q=np.array([self.cell.home, *stops]), within_s=_SIDE_TRIP_S,
+        )  # fmt: skip
         for X in self.shunned:
             near = np.linalg.norm(X_OS[:, :3, 3] - X[:3, 3], axis=1) < 0.06
             mask &= ~(near & (X_OS[:, :3, 2] @ X[:3, 2] > np.cos(np.deg2rad(12.0))))
         return mask
 
-    def run(self, views: tuple[Viewpoint, ...], step: str, rng: np.random.Generator) -> None:
+    def _run(self, views: tuple[Viewpoint, ...], step: str, rng: np.random.Generator) -> None:
         """Plans a leg over `views`, appends it, and lets the twin scan along it."""
         with self.watch("motion"):
             leg: Leg = leg_from(
                 self.cell, self.clearance, views, self.at,
                 mode=self.options.mode, table=self.options.turntable, rng=rng, progress=self.progress,
             )  # fmt: skip
-        self.take(leg, step, rng)
-        given_up = {v for v, _ in leg.unreachable}
-        self.shunned += [v.X_OS for v in views if v.id in given_up or v.kind == "station"]
-
-    def take(self, leg: Leg, step: str, rng: np.random.Generator) -> None:
-        """Appends a leg that begins where the programme stands, and lets the twin scan along it."""
         if leg.trajectory is not None:
             before = self.trajectory
             self.trajectory = leg.trajectory if before is None else joined(before, leg.trajectory)
@@ -275,6 +279,8 @@ class Trip:
                 with self.watch("twin"):
                     self._scan(leg.trajectory, rng)
         self.rounds.append(Round(step=step, leg=leg, seen=self.seen.copy()))
+        given_up = {v for v, _ in leg.unreachable}
+        self.shunned += [v.X_OS for v in views if v.id in given_up or v.kind == "station"]
 
     def _scan(self, trajectory: Trajectory, rng: np.random.Generator) -> None:
         captures = captures_from_trajectory(

@@ -10,6 +10,7 @@ from scanmotion.cell.kinematics import branches, scanner_in_object, scanner_pose
 from scanmotion.cell.plant import Cell
 from scanmotion.motion.candidates import Candidates, candidates, presented, table_angles, turns_about_z
 from scanmotion.motion.causes import Remedies, Unreachable, cause_of
+from scanmotion.motion.seconds import move_matrix, move_model
 from scanmotion.motion.slack import SlackSearch, has_slack, seeds_from, variants
 from scanmotion.viewpoints.viewpoint import Viewpoint
 
@@ -240,11 +241,26 @@ class _Block:
 
 
 def reachable_mask(
-    cell: Cell, X_OS: np.ndarray, *, clearance: Clearance, azimuth_step: float = np.deg2rad(20.0)
+    cell: Cell,
+    X_OS: np.ndarray,
+    *,
+    clearance: Clearance,
+    azimuth_step: float = np.deg2rad(20.0),
+    near_q: np.ndarray | None = None,
+    within_s: float = np.inf,
 ) -> np.ndarray:
     """Whether each scanner pose (n, 4, 4) in O has a free configuration at some table angle, shape (n,).
 
     A quick answer for many candidates: fast tier only, coarse table angles, the pose's own roll.
+
+    Args:
+        cell: the cell.
+        X_OS: poses, shape (n, 4, 4).
+        clearance: the collision checker of the cell.
+        azimuth_step: between table angles [rad].
+        near_q: configurations that the tour passes anyhow, shape (k, 7) [rad]; None for none.
+        within_s: a configuration counts if the arm gets there in this time from one of `near_q`: on its way
+            to another winding or branch the scanner may travel metres [s].
     """
     X_OS = np.asarray(X_OS, dtype=float).reshape(-1, 4, 4)
     reached = np.zeros(len(X_OS), bool)
@@ -262,5 +278,24 @@ def reachable_mask(
         solved = branches(cell, X_WS[near], windings=False)
         pose = np.flatnonzero(near)[solved.pose_index]
         q = np.column_stack([solved.q, angles[pose]])
+        if near_q is not None:
+            close = _arm_seconds(cell, near_q, q) <= within_s
+            q, pose = q[close], pose[close]
         reached[owner[pose[clearance.fast_free(q)]]] = True
     return reached
+
+
+def _arm_seconds(cell: Cell, near_q: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Least time from one of near_q (k, 7) to each q (n, 7) with the table at rest, shape (n,) [s]."""
+    model, least = move_model(cell), np.full(len(q), np.inf)
+    if len(q) == 0:
+        return least
+    for start in near_q:
+        end = q.copy()
+        for j in range(6):
+            wound = end[:, j] + 2 * np.pi * np.round((start[j] - end[:, j]) / (2 * np.pi))
+            inside = (wound >= cell.q_min[j]) & (wound <= cell.q_max[j])
+            end[inside, j] = wound[inside]
+        end[:, 6] = start[6]
+        least = np.minimum(least, move_matrix(model, start[None], end)[0])
+    return least

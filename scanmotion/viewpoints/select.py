@@ -121,7 +121,7 @@ def local_step(
     else:
         model = model.measured(points)
     scene = _scene(model, table_radius, table_z)
-    targets = _targets(model, frontier, claimed, options, table_z, rng)
+    targets = _targets(model, holes, spacing, frontier, claimed, options, table_z, rng)
     if len(targets.points) == 0:
         return LocalStep(
             viewpoints=(), unseen=(), model=model, targets=targets.points,
@@ -167,6 +167,8 @@ def _scene(model: ClosedModel, table_radius: float, table_z: float) -> Scene:
 
 def _targets(
     model: ClosedModel,
+    holes: Sequence[Hole],
+    spacing: float,
     frontier: Frontier | None,
     claimed: np.ndarray | None,
     options: SelectOptions,
@@ -188,7 +190,14 @@ def _targets(
     far = np.flatnonzero((model.distance[pick] > max(gap, 1.2 * model.cell)) & ~base)
     points, normals = points[far], normals[far]
     areas = np.full(len(far), edges[-1] / 2 / options.probes)
-    if frontier is not None:
+    if frontier is None:
+        filled = [_filled(hole, 1.5 * spacing) for hole in holes]
+        points = np.concatenate([points, *filled])
+        normals = np.concatenate(
+            [normals, *(np.tile(h.normal, (len(f), 1)) for h, f in zip(holes, filled, strict=True))]
+        )
+        areas = np.concatenate([areas, np.full(sum(map(len, filled)), (1.5 * spacing) ** 2)])
+    else:
         lifted = frontier.points[:, 2] > table_z + 2.5 * frontier.edge
         free_side = frontier.points[lifted] + frontier.edge * frontier.normals[lifted]
         points = np.concatenate([points, free_side])
@@ -202,6 +211,23 @@ def _targets(
         index = np.linspace(0, len(points) - 1, options.targets).astype(int)
         points, normals, areas = points[index], normals[index], areas[index] * share
     return _Targets(points, normals, areas)
+
+
+def _filled(hole: Hole, step: float) -> np.ndarray:
+    """Points over the area that a hole's rim encloses, a `step` apart, shape (n, 3)."""
+    rim = hole.boundary[: hole.outer] @ hole.X_OH[:3, :3] - hole.X_OH[:3, 3] @ hole.X_OH[:3, :3]
+    low, high = rim.min(axis=0), rim.max(axis=0)
+    x, y = (a.ravel() for a in np.meshgrid(*(np.arange(low[i], high[i] + step, step) for i in (0, 1))))
+    a, b = rim, np.roll(rim, -1, axis=0)
+    inside = np.zeros(len(x), bool)
+    for (ax, ay, _), (bx, by, _) in zip(a, b, strict=True):
+        if ay != by:
+            inside ^= ((ay > y) != (by > y)) & (x < ax + (bx - ax) * (y - ay) / (by - ay))
+    x, y = np.concatenate([x[inside], rim[:, 0]]), np.concatenate([y[inside], rim[:, 1]])
+    distance, near = cKDTree(rim[:, :2]).query(np.column_stack([x, y]), k=min(4, len(rim)))
+    weight = 1 / np.maximum(distance.reshape(len(x), -1), 1e-9)
+    z = (weight * rim[near.reshape(len(x), -1), 2]).sum(axis=1) / weight.sum(axis=1)
+    return np.column_stack([x, y, z]) @ hole.X_OH[:3, :3].T + hole.X_OH[:3, 3]
 
 
 def _scores(
