@@ -102,7 +102,7 @@ def plan(
     Raises:
         PartError: the part does not fit the table, or is not what the source needs.
     """
-    trip = _Trip(part, settings, options or PlanOptions(), progress)
+    trip = Trip(part, settings, options or PlanOptions(), progress)
     if trip.options.source == "scan":
         trip.take_scan()
     elif trip.options.strategy == "two-step":
@@ -114,7 +114,7 @@ def plan(
     return trip.plan()
 
 
-class _Trip:
+class Trip:
     """What the stages have found so far."""
 
     def __init__(self, part: Part, settings: CellSettings, options: PlanOptions, progress: Progress) -> None:
@@ -192,14 +192,14 @@ class _Trip:
             pedestal=self.settings.pedestal.height_m,
         )  # fmt: skip
         self.dropped += list(step.dropped)
-        self._run(step.viewpoints, "global", self._rng(2))
+        self.run(step.viewpoints, "global", self._rng(2))
 
     def single_step(self) -> None:
         """One of the two methods that the paper compares with; both need the mesh."""
         strategy = cad_slicing if self.options.strategy == "cad-slicing" else surface_partitioning
         with self.watch("viewpoints"):
             views = strategy(self.part, self.scanner, standoff=self.settings.process.standoff_m)
-        self._run(views, "global", self._rng(2))
+        self.run(views, "global", self._rng(2))
 
     def local_rounds(self) -> None:
         """Holes, local viewpoints, the same trip again, until nothing more is worth a round."""
@@ -216,7 +216,7 @@ class _Trip:
                 views = self._local_views(self.holes, number)
             if not views:
                 return
-            self._run(renamed(views, f"R{number}" if number > 1 else ""), "local", self._rng(10 + number))
+            self.run(renamed(views, f"R{number}" if number > 1 else ""), "local", self._rng(10 + number))
             literal = self.options.mode == "paper" or not self.options.occlusion_aware
             if literal or self.options.source == "scan" or self._complete():
                 return
@@ -265,13 +265,19 @@ class _Trip:
             mask &= ~(near & (X_OS[:, :3, 2] @ X[:3, 2] > np.cos(np.deg2rad(12.0))))
         return mask
 
-    def _run(self, views: tuple[Viewpoint, ...], step: str, rng: np.random.Generator) -> None:
+    def run(self, views: tuple[Viewpoint, ...], step: str, rng: np.random.Generator) -> None:
         """Plans a leg over `views`, appends it, and lets the twin scan along it."""
         with self.watch("motion"):
             leg: Leg = leg_from(
                 self.cell, self.clearance, views, self.at,
                 mode=self.options.mode, table=self.options.turntable, rng=rng, progress=self.progress,
             )  # fmt: skip
+        self.take(leg, step, rng)
+        given_up = {v for v, _ in leg.unreachable}
+        self.shunned += [v.X_OS for v in views if v.id in given_up or v.kind == "station"]
+
+    def take(self, leg: Leg, step: str, rng: np.random.Generator) -> None:
+        """Appends a leg that begins where the programme stands, and lets the twin scan along it."""
         if leg.trajectory is not None:
             before = self.trajectory
             self.trajectory = leg.trajectory if before is None else joined(before, leg.trajectory)
@@ -279,8 +285,6 @@ class _Trip:
                 with self.watch("twin"):
                     self._scan(leg.trajectory, rng)
         self.rounds.append(Round(step=step, leg=leg, seen=self.seen.copy()))
-        given_up = {v for v, _ in leg.unreachable}
-        self.shunned += [v.X_OS for v in views if v.id in given_up or v.kind == "station"]
 
     def _scan(self, trajectory: Trajectory, rng: np.random.Generator) -> None:
         captures = captures_from_trajectory(
