@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from scanmotion import __version__
+from scanmotion.budget import budget_record, coverage_of
 from scanmotion.cell.plant import Cell
 from scanmotion.errors import InputError
 from scanmotion.judge import Finding, verify
@@ -124,6 +125,18 @@ class Plan:
         total = self.trajectory.duration if self.trajectory is not None else 0.0
         return {"total": total, **split, "floor": sum(r.leg.tour.floor for r in self.rounds)}
 
+    def budget(self) -> dict[str, Any]:
+        """The budget, what uses it up, and what a shorter programme would see."""
+        stops = [stop for item in self.rounds for stop in item.leg.tour.stops]
+        whole, coverage = self.completeness()["final"], None
+        if self.trajectory is not None and self.samples is not None and whole is not None:
+            assert self.seen is not None
+            coverage = coverage_of(
+                self.part, self.cell, self.trajectory, self.samples, self.seen, whole
+            )  # fmt: skip
+        floor = self.time_s()["floor"]
+        return budget_record(self.cell, self.trajectory, stops, floor, coverage)
+
     @functools.cached_property
     def findings(self) -> tuple[Finding, ...]:
         """What the judge finds in the plan's files, which are written for it to a place of their own."""
@@ -135,7 +148,6 @@ class Plan:
         """summary.json: what the plan achieves; docs/results.md says what each figure means."""
         accuracy, time_s = self.accuracy(), self.time_s()
         served = [v for item in self.rounds for v in item.leg.served]
-        limit = self.cell.settings.process.budget_s
         millimetres = {
             f"{name}_mm": None if accuracy is None else round(getattr(accuracy, name) * 1e3, 5)
             for name in ("mean_abs", "sd_signed", "mean_signed")
@@ -165,7 +177,7 @@ class Plan:
             ],
             "accuracy": millimetres,
             "time_s": {k: round(v, 3) for k, v in time_s.items()},
-            "budget": {"limit_s": limit, "ok": bool(time_s["total"] <= limit)},
+            "budget": self.budget(),
             "findings": [str(f) for f in self.findings],
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
         }

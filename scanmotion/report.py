@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from scanmotion import __version__
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.figures.charts import joint_figure, tcp_figure, time_figure
+from scanmotion.figures.charts import curve_figure, joint_figure, tcp_figure, time_figure
 from scanmotion.figures.maps import cell_figure, coverage_figure, hole_figure, reach_figure
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ def report_html(plan: Any) -> str:
     sections += [
         _viewpoints(plan, summary),
         _motion(plan, summary),
+        _budget(summary["budget"]),
         _findings(summary),
         _settings(plan, summary),
     ]
@@ -203,6 +204,26 @@ def _motion(plan: Any, summary: dict[str, Any]) -> str:
         image(joint_figure(trajectory, plan.cell), "joints over time"),
         table(("operation", "kind", "viewpoints", "starts s", "takes s"), rows),
     )
+
+
+def _budget(budget: dict[str, Any]) -> str:
+    """What costs most, what a shorter programme would see, what would bring it inside its budget."""
+    parts = []
+    if budget.get("advice"):
+        items = "".join(f"<li>{escape(line)}</li>" for line in budget["advice"])
+        parts.append(f'<p class="bad">Over the budget. What would help:</p><ul>{items}</ul>')
+    if budget.get("curve") and budget.get("by_order"):
+        parts.append(image(curve_figure(budget), "completeness against seconds"))
+    rows = []
+    for cost in budget.get("costliest", ()):
+        lost = cost["completeness_lost_without"]
+        told = "not known" if lost is None else f"{lost:.3%}"
+        views = " ".join(cost["viewpoints"])
+        rows.append((cost["operation"], cost["kind"], views, cost["seconds"], cost["of_which_way"], told))
+    if rows:
+        header = ("operation", "kind", "viewpoints", "seconds", "of which the way", "lost without it")
+        parts += ["<p>The costliest stops:</p>", table(header, rows)]
+    return _section("Budget", *parts) if parts else ""
 
 
 def _findings(summary: dict[str, Any]) -> str:

@@ -26,8 +26,9 @@ MAY_IMPORT = {
     "replan": NOUNS
     | {"cell", "scan", "motion", "planfile", "legs", "outcome", "pipeline", "loaded"}
     | {"viewpoints"},
+    "budget": NOUNS | {"viewpoints", "cell", "scan", "motion"},
     "legs": NOUNS | {"viewpoints", "cell", "motion"},
-    "outcome": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs"},
+    "outcome": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "budget"},
 }
 PYDRAKE = {"cell", "motion/transit.py", "motion/timing.py", "show.py"}
 STAGES = {"reach", "sequence", "transit", "timing"}

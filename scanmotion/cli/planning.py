@@ -192,6 +192,8 @@ def print_summary(summary: dict[str, Any], folder: Path, *, html: bool = True) -
     if unreachable:
         rows = [(u["id"], u["reason"]) for u in unreachable]
         print_table("Viewpoints left out", ("viewpoint", "reason"), rows)
+    if summary["budget"].get("advice"):
+        print_table("Over the budget", ("what would help",), [(a,) for a in summary["budget"]["advice"]])
     if summary["findings"]:
         rows = [(finding_line(f),) for f in summary["findings"]]
         print_table("The judge found", ("finding",), rows)

@@ -72,6 +72,23 @@ def time_figure(time_s: dict[str, float], budget: float) -> "Figure":
     return figure
 
 
+def curve_figure(budget: dict[str, Any]) -> "Figure":
+    """Completeness against seconds: of this programme as it goes on, and of shorter ones."""
+    figure = new_figure(11.0, 2.8)
+    ax = figure.subplots()
+    for key, colour, label in (
+        ("by_order", "#777777", "this programme up to then"),
+        ("curve", "#1b6ca8", "without its least worthy stops"),
+    ):
+        points = sorted((p["seconds"], 100 * p["completeness"]) for p in budget[key])
+        ax.plot(*zip(*points, strict=True), color=colour, marker=".", lw=0.9, label=label)
+    ax.axvline(budget["limit_s"], color="#c8102e", lw=1.2, label=f"budget {budget['limit_s']:.1f} s")
+    least = min((p["completeness"] for p in budget["by_order"]), default=0.0)
+    ax.set(xlabel="time [s]", ylabel="seen of what can be [%]", ylim=(100 * max(least - 0.02, 0.0), 100.5))
+    ax.legend(fontsize=8, loc="lower right", frameon=False)
+    return figure
+
+
 def _thin(n: int, most: int = 4000) -> slice:
     """Every k-th sample, so that a chart stays small; limits are judged elsewhere, on all of them."""
     return slice(None, None, max(1, n // most))
