@@ -18,11 +18,15 @@ from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
 
 _SHARE = 0.85
 _SAMPLES = 6000
+_ABOVE_TABLE = 0.09
+"""Least height of a view above the table [m]."""
+_MOST_RAISED = np.deg2rad(45.0)
+"""A view that must be raised further is left out: it would graze its patch [rad]."""
 _SEEDS = 24
 """Seeds tried for each patch."""
 _SCRAP = 10e-4
 """Patches smaller than this get no view of their own [m2]: their neighbours' views mostly see them."""
-_SCRAP_SHARE = 0.001
+_SCRAP_SHARE = 0.005
 """The same as a share of the surface, for small parts."""
 
 
@@ -40,7 +44,7 @@ def surface_partitioning(
         part: the true mesh.
         scanner: field of view and range.
         standoff: from the patch's middle [m].
-        table_z: height of the table's top; views below it are left out.
+        table_z: height of the table's top; views that would be below it look up less steeply.
         deviation: greatest angle between a patch's normals and its seed's [rad].
 
     Raises:
@@ -59,9 +63,11 @@ def surface_partitioning(
     for members in _patches(points, normals, ~standing, graph, half, deviation, least):
         n = normals[members].mean(axis=0)
         n /= np.linalg.norm(n)
-        p = points[members].mean(axis=0) + standoff * n
-        if p[2] < table_z + 0.08:
+        middle = points[members].mean(axis=0)
+        n = _raised(n, (table_z + _ABOVE_TABLE - middle[2]) / standoff)
+        if n is None:
             continue
+        p = middle + standoff * n
         views.append(
             Viewpoint(
                 id=f"P{len(views) + 1}", X_OS=look_at(p, -n), standoff=standoff, step="global",
@@ -70,6 +76,17 @@ def surface_partitioning(
             )
         )  # fmt: skip
     return tuple(views)
+
+
+def _raised(n: np.ndarray, least: float) -> np.ndarray | None:
+    """The unit vector nearest `n` whose z is at least `least`; None where it would be turned too far."""
+    if n[2] >= least:
+        return n
+    flat = np.linalg.norm(n[:2])
+    if least >= 1.0 or flat < 1e-9:
+        return None
+    raised = np.array([*(n[:2] / flat * np.sqrt(1.0 - least**2)), least])
+    return raised if raised @ n >= np.cos(_MOST_RAISED) else None
 
 
 def _patches(
