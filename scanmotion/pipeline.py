@@ -1,6 +1,6 @@
 """The whole trip on one screen: a part and a cell in, a Plan out. Nobody else knows the stages' order."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -66,8 +66,8 @@ class PlanOptions:
     """The twin casts every stride-th ray in x and y of a frame."""
     goal: float = 0.999
     """Completeness of what can be seen at which the local rounds end."""
-    errors: ScanErrors = field(default_factory=ScanErrors)
-    """What the simulated scanner, arm and table get wrong."""
+    errors: ScanErrors | None = None
+    """What the simulated scanner, arm and table get wrong; None: what the cell's section `twin` says."""
     occlusion_aware: bool = True
     """Local viewpoints are chosen on a closed model; False: the grid over each hole's box."""
     thorough: bool = False
@@ -125,6 +125,7 @@ class Trip:
         if options.source == "mesh" and not part.is_mesh:
             raise PartError(f"{part.name}: a point cloud cannot be scanned by the twin; give it as a scan")
         self.scanner: Scanner = settings.scanner_model()
+        self.errors = options.errors or ScanErrors(**settings.twin_errors())
         with self.watch("cell"):
             self.cell: Cell = build_cell(settings, self._solid())
             self.clearance = Clearance(self.cell)
@@ -293,7 +294,7 @@ class Trip:
         )  # fmt: skip
         scan = simulate(
             self.scene, self.scanner, captures,
-            errors=self.options.errors, stride=self.options.stride, rng=rng, samples=self.samples,
+            errors=self.errors, stride=self.options.stride, rng=rng, samples=self.samples,
             known=self.seen,
             progress=lambda f: self.progress("twin", f),
         )  # fmt: skip

@@ -23,6 +23,10 @@ def _number(value: Any) -> Any:
 
 
 Number = Annotated[float, BeforeValidator(_number)]
+Offset = Annotated[Number, Field(ge=-5.0, le=5.0)]
+"""Error of a place [mm]."""
+Turn = Annotated[Number, Field(ge=-2.0, le=2.0)]
+"""Error of an orientation [deg]."""
 
 
 class _Settings(BaseModel):
@@ -127,6 +131,31 @@ class ProcessSettings(_Settings):
     max_height_m: Number = _length(0.05, 5.0, 1.2)
 
 
+class TwinSettings(_Settings):
+    """What the simulated arm, table and scanner get wrong; the constant errors are zero where not stated."""
+
+    pose_mm: Number = Field(0.02, ge=0.0, le=5.0, description="arm: position of a frame, sd per axis")
+    pose_deg: Number = Field(0.003, ge=0.0, le=2.0, description="arm: orientation of a frame, sd per axis")
+    range_noise: Number = Field(1.0, ge=0.0, le=100.0, description="factor on scanner.sigma_mm; 0 is none")
+    frame_scale: Number = Field(1.0, ge=0.0, le=100.0, description="factor on scanner.frame_scale; 0 is none")
+    hand_eye_mm: tuple[Offset, Offset, Offset] = Field(
+        (0.0, 0.0, 0.0),
+        description="constant: true scanner off the nominal one, along its x, y, z",
+    )
+    hand_eye_deg: tuple[Turn, Turn, Turn] = Field(
+        (0.0, 0.0, 0.0), description="constant: rotation vector of the true scanner against the nominal one"
+    )
+    axis_mm: tuple[Offset, Offset] = Field(
+        (0.0, 0.0), description="constant: true axis of the table off the nominal one, along x and y"
+    )
+    axis_deg: tuple[Turn, Turn] = Field(
+        (0.0, 0.0), description="constant: tilt of the table's true axis about x and y"
+    )
+    backlash_deg: Number = Field(
+        0.0, ge=0.0, le=2.0, description="play of the table: it lags by half of this behind its motion"
+    )
+
+
 class CellSettings(_Settings):
     """All that describes a cell; `load_cell` reads it from YAML."""
 
@@ -139,6 +168,7 @@ class CellSettings(_Settings):
     obstacles: tuple[ObstacleSettings, ...] = ()
     scanner: ScannerSettings = ScannerSettings.model_validate({})
     process: ProcessSettings = ProcessSettings.model_validate({})
+    twin: TwinSettings = TwinSettings.model_validate({})
 
     folder: str = Field("", exclude=True, description="where the YAML lies; model paths are relative to it")
 
@@ -174,6 +204,22 @@ class CellSettings(_Settings):
             max_incidence=math.radians(s.max_incidence_deg), baseline=s.baseline_m, rays=s.rays,
             sigma_at_near=s.sigma_mm * 1e-3, frame_scale=s.frame_scale,
         )  # fmt: skip
+
+    def twin_errors(self) -> dict[str, Any]:
+        """The twin's errors in SI units, by the names of `scan.captures.ScanErrors`."""
+        t = self.twin
+        return {
+            "range_noise": t.range_noise, "frame_scale": t.frame_scale,
+            "pose_m": _metres(t.pose_mm), "pose_rad": math.radians(t.pose_deg),
+            "hand_eye_m": tuple(map(_metres, t.hand_eye_mm)),
+            "hand_eye_rad": tuple(map(math.radians, t.hand_eye_deg)),
+            "axis_m": tuple(map(_metres, t.axis_mm)), "axis_rad": tuple(map(math.radians, t.axis_deg)),
+            "backlash_rad": math.radians(t.backlash_deg),
+        }  # fmt: skip
+
+
+def _metres(millimetres: float) -> float:
+    return millimetres / 1000
 
 
 def builtin_cells() -> tuple[str, ...]:
@@ -235,8 +281,9 @@ def _message(first: Any, key: str, data: dict) -> str:
     if kind in ("greater_than_equal", "less_than_equal", "greater_than", "less_than"):
         bound = next(iter(context.values()))
         side = "below" if kind.startswith("greater") else "above"
-        unit = "metres" if key.endswith("_m") else "degrees" if key.endswith("_deg") else "another unit"
-        hint = f"; is it in {unit}?" if key.endswith(("_m", "_deg")) else ""
+        suffix = key.rstrip(".0123456789").rsplit("_", 1)[-1]
+        unit = {"m": "metres", "mm": "millimetres", "deg": "degrees"}.get(suffix)
+        hint = f"; is it in {unit}?" if unit else ""
         return f"{value!r} is {side} the {'least' if side == 'below' else 'greatest'} {bound:g} allowed{hint}"
     text = first["msg"].removeprefix("Value error, ")
     return " ".join(text.split())

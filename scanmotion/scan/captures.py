@@ -64,6 +64,13 @@ class ScanErrors:
     backlash_rad: float = 0.0
     """Play of the table: the object lags by half of it behind the sense of motion [rad]."""
 
+    @property
+    def constant(self) -> bool:
+        """Whether any error is the same in all frames, which calibration can find."""
+        return bool(self.backlash_rad) or any(
+            (*self.hand_eye_m, *self.hand_eye_rad, *self.axis_m, *self.axis_rad)
+        )
+
     @staticmethod
     def none() -> "ScanErrors":
         """A perfect measurement."""
