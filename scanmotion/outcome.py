@@ -22,6 +22,8 @@ from scanmotion.part import Part, SurfaceSamples
 from scanmotion.planfile import PlanRecord, atomic_folder, csv_text, json_text, trajectory_json
 from scanmotion.scan.assess import Accuracy, accuracy
 from scanmotion.scan.fuse import Cloud
+from scanmotion.scan.mend import Mending
+from scanmotion.scan.simulate import Scan
 from scanmotion.trajectory import Trajectory
 from scanmotion.viewpoints.holes import HoleReport
 from scanmotion.viewpoints.viewpoint import Viewpoint
@@ -81,6 +83,10 @@ class Plan:
     unscanned: tuple = ()
     """Patches of surface that stay unscanned, each with its reason."""
     planning_s: dict[str, float] = field(default_factory=dict)
+    scans: tuple[Scan, ...] = ()
+    """What the twin measured, as it was fused; only where PlanOptions.keep_scans asks for it."""
+    mending: Mending | None = None
+    """Calibration and registration, where there were any."""
 
     @property
     def viewpoints(self) -> tuple[Viewpoint, ...]:

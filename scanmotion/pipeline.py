@@ -16,6 +16,7 @@ from scanmotion.outcome import Plan, Round, Stopwatch
 from scanmotion.part import Part, SurfaceSamples, check_fits, surface_samples
 from scanmotion.scan.fuse import Cloud, fuse
 from scanmotion.scan.images import depth_images
+from scanmotion.scan.mend import Mender
 from scanmotion.scan.merge import merged
 from scanmotion.scan.simulate import Scan, ScanErrors, captures_from_trajectory, simulate
 from scanmotion.scanner import Scanner
@@ -68,6 +69,12 @@ class PlanOptions:
     """Completeness of what can be seen at which the local rounds end."""
     errors: ScanErrors | None = None
     """What the simulated scanner, arm and table get wrong; None: what the cell's section `twin` says."""
+    calibrate: bool | None = None
+    """Estimate the constant errors from the scans and correct them; None: where there are any."""
+    surface: bool = False
+    """The summary assesses the reconstructed surface too."""
+    keep_scans: bool = False
+    """The plan holds the twin's scans, to be saved."""
     occlusion_aware: bool = True
     """Local viewpoints are chosen on a closed model; False: the grid over each hole's box."""
     thorough: bool = False
@@ -86,6 +93,10 @@ class PlanOptions:
         ):
             if getattr(self, name) not in known:
                 raise InputError(f"unknown {name} {getattr(self, name)!r}; known: {', '.join(known)}")
+        if self.source != "mesh":
+            asked = [k for k in ("calibrate", "surface", "keep_scans") if getattr(self, k)]
+            if asked:
+                raise InputError(f"{asked[0]}: only a mesh is scanned by the twin, not a {self.source}")
 
 
 def plan(
@@ -132,6 +143,8 @@ class Trip:
         self.rounds: list[Round] = []
         self.trajectory: Trajectory | None = None
         self.scans: list[Scan] = []
+        mends = self.errors.constant if options.calibrate is None else options.calibrate
+        self.mender = Mender(part, voxel=options.voxel) if mends and options.source == "mesh" else None
         self.cloud: Cloud | None = None
         self.holes: HoleReport | None = None
         self.dropped: list[tuple[str, str]] = []
@@ -298,6 +311,8 @@ class Trip:
             known=self.seen,
             progress=lambda f: self.progress("twin", f),
         )  # fmt: skip
+        if self.mender is not None:
+            scan = self.mender.mended(scan, self.cloud, index=len(self.rounds))
         self.scans.append(scan)
         self.seen = self.seen | scan.seen
         images = depth_images(scan, self.scanner, stride=self.options.stride)
@@ -331,6 +346,8 @@ class Trip:
             trajectory=self.trajectory, cloud=self.cloud, holes=self.holes, samples=self.samples,
             visible=None if self.can_see is None else self.can_see | self.seen,
             dropped=tuple(self.dropped), unscanned=self.unscanned, planning_s=self.watch.seconds(),
+            scans=tuple(self.scans) if self.options.keep_scans else (),
+            mending=None if self.mender is None else self.mender.mending,
         )  # fmt: skip
 
 
