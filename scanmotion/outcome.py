@@ -18,12 +18,20 @@ from scanmotion.cell.plant import Cell
 from scanmotion.errors import InputError
 from scanmotion.judge import Finding, verify
 from scanmotion.legs import Leg
+from scanmotion.measured import (
+    calibration_record,
+    millimetres,
+    registration_records,
+    scan_files,
+    surface_record,
+)
 from scanmotion.part import Part, SurfaceSamples
 from scanmotion.planfile import PlanRecord, atomic_folder, csv_text, json_text, trajectory_json
 from scanmotion.scan.assess import Accuracy, accuracy
 from scanmotion.scan.fuse import Cloud
 from scanmotion.scan.mend import Mending
 from scanmotion.scan.simulate import Scan
+from scanmotion.scan.surface import surface
 from scanmotion.trajectory import Trajectory
 from scanmotion.viewpoints.holes import HoleReport
 from scanmotion.viewpoints.viewpoint import Viewpoint
@@ -121,6 +129,25 @@ class Plan:
             return None
         return accuracy(self.cloud.points, self.part)
 
+    @functools.cached_property
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+        """The surface reconstructed from the fused cloud: vertices (v, 3) [m] and triangles (t, 3).
+
+        Raises:
+            InputError: nothing was scanned, or too little.
+        """
+        if self.cloud is None:
+            raise InputError("nothing was scanned: there is no surface")
+        return surface(self.cloud)
+
+    def accuracies(self) -> dict[str, Any]:
+        """`accuracy` of the summary: of the fused cloud, and of the surface where the options ask for it."""
+        found: dict[str, Any] = millimetres(self.accuracy())
+        if self.options.surface and self.samples is not None and self.seen is not None:
+            seen = self.samples.points[self.seen]
+            found["surface"] = surface_record(self.surface, self.part, seen)
+        return found
+
     def time_s(self) -> dict[str, float]:
         """Seconds in total, by kind of work, and the proven floor."""
         split = {"arm": 0.0, "table": 0.0, "sweep": 0.0, "dwell": 0.0}
@@ -152,12 +179,8 @@ class Plan:
     @functools.cached_property
     def summary(self) -> dict[str, Any]:
         """summary.json: what the plan achieves; docs/results.md says what each figure means."""
-        accuracy, time_s = self.accuracy(), self.time_s()
+        time_s = self.time_s()
         served = [v for item in self.rounds for v in item.leg.served]
-        millimetres = {
-            f"{name}_mm": None if accuracy is None else round(getattr(accuracy, name) * 1e3, 5)
-            for name in ("mean_abs", "sd_signed", "mean_signed")
-        }
         return {
             "viewpoints": {
                 "global": sum(v.step == "global" for v in served),
@@ -181,7 +204,9 @@ class Plan:
                 }
                 for p in self.unscanned
             ],
-            "accuracy": millimetres,
+            "accuracy": self.accuracies(),
+            "calibration": calibration_record(self.mending),
+            "registration": registration_records(self.mending),
             "time_s": {k: round(v, 3) for k, v in time_s.items()},
             "budget": self.budget(),
             "findings": [str(f) for f in self.findings],
@@ -212,6 +237,8 @@ class Plan:
             InputError: there is no trajectory to write.
         """
         files = plan_files(self) | {"summary.json": json_text(self.summary)}
+        if self.scans and self.cloud is not None:
+            files |= scan_files(self.cloud, self.surface, self.part, self.scans)
         atomic_folder(folder, {**files, **(extras or {})})
         return list(self.findings)
 

@@ -28,7 +28,10 @@ MAY_IMPORT = {
     | {"viewpoints"},
     "budget": NOUNS | {"viewpoints", "cell", "scan", "motion"},
     "legs": NOUNS | {"viewpoints", "cell", "motion"},
-    "outcome": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "budget"},
+    "outcome": NOUNS
+    | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "budget"}
+    | {"measured"},
+    "measured": NOUNS | {"scan"},
 }
 PYDRAKE = {"cell", "motion/transit.py", "motion/timing.py", "show.py"}
 STAGES = {"reach", "sequence", "transit", "timing"}

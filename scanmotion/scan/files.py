@@ -1,5 +1,6 @@
 """Scans on disk: clouds as PLY, range images as NPZ, and measured scans with poses brought into one cloud."""
 
+import io
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ from scanmotion.part import UNITS
 from scanmotion.partfile import read_geometry
 from scanmotion.scan.captures import Captures
 from scanmotion.scan.fuse import Cloud, RawPoints, fuse_points
-from scanmotion.scan.plyfile import write_ply
+from scanmotion.scan.plyfile import ply_data, replaced, write_ply
 from scanmotion.scan.register import Registration, align
 from scanmotion.scan.simulate import Scan
 from scanmotion.scan.surface import surface as surface_of
@@ -49,7 +50,12 @@ class Fused:
 
 def save_cloud(path: str | Path, cloud: Cloud) -> None:
     """Writes the cloud as PLY in millimetres, with normals and the raw points' count as `quality`."""
-    write_ply(Path(path), cloud.points * 1e3, normals=cloud.normals, quality=cloud.counts.astype(float))
+    replaced(Path(path), cloud_data(cloud))
+
+
+def cloud_data(cloud: Cloud) -> bytes:
+    """The PLY that save_cloud writes."""
+    return ply_data(cloud.points * 1e3, normals=cloud.normals, quality=cloud.counts.astype(float))
 
 
 _CAPTURES = ("t", "X_WS", "table_angle", "X_WT", "X_TO", "table_sense")
@@ -57,18 +63,18 @@ _CAPTURES = ("t", "X_WS", "table_angle", "X_WT", "X_TO", "table_sense")
 
 def save_scan(path: str | Path, scan: Scan) -> None:
     """Writes all range images of a scan as one NPZ: depths [m] with pixel and frame, and the captures."""
+    replaced(Path(path), scan_data(scan))
+
+
+def scan_data(scan: Scan) -> bytes:
+    """The NPZ that save_scan writes; the same scan gives the same bytes."""
     captures = {k: getattr(scan.captures, k) for k in _CAPTURES if getattr(scan.captures, k) is not None}
-    path = Path(path)
-    part = path.with_name(path.name + ".part")
-    try:
-        with part.open("wb") as file:
-            np.savez(
-                file, points_O=scan.points_O, depth=scan.depth, pixel=scan.pixel, frame=scan.frame,
-                seen=scan.seen, rays=np.int64(scan.rays), **captures,
-            )  # fmt: skip
-        part.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    buffer = io.BytesIO()
+    np.savez(
+        buffer, points_O=scan.points_O, depth=scan.depth, pixel=scan.pixel, frame=scan.frame, seen=scan.seen,
+        rays=np.int64(scan.rays), **captures,
+    )  # fmt: skip
+    return buffer.getvalue()
 
 
 def load_scan(path: str | Path) -> Scan:

@@ -11,7 +11,25 @@ def write_ply(
     path: Path, points: np.ndarray, *, normals: np.ndarray | None = None, colors: np.ndarray | None = None,
     quality: np.ndarray | None = None, triangles: np.ndarray | None = None,
 ) -> None:  # fmt: skip
-    """Writes a binary little-endian PLY under a temporary name and renames it."""
+    """Writes a binary little-endian PLY under a temporary name and renames it; arguments as ply_data."""
+    replaced(
+        path, ply_data(points, normals=normals, colors=colors, quality=quality, triangles=triangles)
+    )  # fmt: skip
+
+
+def ply_data(
+    points: np.ndarray, *, normals: np.ndarray | None = None, colors: np.ndarray | None = None,
+    quality: np.ndarray | None = None, triangles: np.ndarray | None = None,
+) -> bytes:  # fmt: skip
+    """A binary little-endian PLY in single precision.
+
+    Args:
+        points: shape (n, 3).
+        normals: shape (n, 3).
+        colors: shape (n, 3) uint8.
+        quality: shape (n,).
+        triangles: shape (t, 3).
+    """
     fields = [("x", "f4"), ("y", "f4"), ("z", "f4")]
     fields += [("nx", "f4"), ("ny", "f4"), ("nz", "f4")] if normals is not None else []
     fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")] if colors is not None else []
@@ -31,7 +49,7 @@ def write_ply(
         faces["k"], faces["v"] = 3, triangles
         lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
     header = ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
-    replaced(path, header + table.tobytes() + faces.tobytes())
+    return header + table.tobytes() + faces.tobytes()
 
 
 def replaced(path: Path, data: bytes) -> None:

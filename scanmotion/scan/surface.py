@@ -10,7 +10,7 @@ from scanmotion.errors import InputError
 from scanmotion.part import Part
 from scanmotion.scan.assess import signed_distances
 from scanmotion.scan.fuse import Cloud
-from scanmotion.scan.plyfile import write_ply
+from scanmotion.scan.plyfile import ply_data, replaced
 
 
 def surface(cloud: Cloud, *, depth: int = 9, trim: float = 0.004) -> tuple[np.ndarray, np.ndarray]:
@@ -61,10 +61,13 @@ class DeviationMesh:
 
     def save(self, path: str | Path) -> None:
         """Writes a binary PLY in millimetres with the distances as `quality` [mm]."""
-        write_ply(
-            Path(path), self.vertices * 1e3, triangles=self.triangles, colors=self.colors,
-            quality=self.distance * 1e3,
-        )  # fmt: skip
+        replaced(Path(path), self.data())
+
+    def data(self) -> bytes:
+        """The PLY that `save` writes."""
+        return ply_data(
+            self.vertices * 1e3, triangles=self.triangles, colors=self.colors, quality=self.distance * 1e3
+        )
 
 
 def deviation_mesh(
