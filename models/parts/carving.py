@@ -12,6 +12,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from scanmotion.viewpoints.model import surface_nets, without_pinches
+
 SIZE = np.array([600.0, 330.0, 200.0])
 STEP = 5.0  # grid of the distance field [mm]
 
@@ -86,62 +88,6 @@ def distance(p: np.ndarray) -> np.ndarray:
     return np.maximum(d, -p[..., 2])
 
 
-def surface_nets(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Dual surface of a grid's zero level: vertices in grid units, outward triangles."""
-    inside = values < 0
-    sums, counts = np.zeros((*(np.array(values.shape) - 1), 3)), np.zeros(np.array(values.shape) - 1)
-    corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    n = np.array(values.shape) - 1
-    for a in corners:
-        for axis in range(3):
-            if a[axis]:
-                continue
-            b = a + np.eye(3, dtype=int)[axis]
-            va = values[a[0] : a[0] + n[0], a[1] : a[1] + n[1], a[2] : a[2] + n[2]]
-            vb = values[b[0] : b[0] + n[0], b[1] : b[1] + n[1], b[2] : b[2] + n[2]]
-            cut = (va < 0) != (vb < 0)
-            t = np.where(cut, va / np.where(cut, va - vb, 1.0), 0.0)
-            point = a + t[..., None] * np.eye(3)[axis]
-            sums += np.where(cut[..., None], point, 0.0)
-            counts += cut
-    used = counts > 0
-    index = np.full(used.shape, -1)
-    index[used] = np.arange(used.sum())
-    vertices = np.argwhere(used) + sums[used] / counts[used][:, None]
-    triangles = []
-    for axis in range(3):
-        u, v = (axis + 1) % 3, (axis + 2) % 3
-        low = np.take(inside, range(values.shape[axis] - 1), axis=axis)
-        high = np.take(inside, range(1, values.shape[axis]), axis=axis)
-        cells = np.argwhere(low != high)
-        cells = cells[(cells[:, u] > 0) & (cells[:, v] > 0) & (cells[:, u] < n[u]) & (cells[:, v] < n[v])]
-        eu, ev = np.eye(3, dtype=int)[u], np.eye(3, dtype=int)[v]
-        quad = np.stack(
-            [index[tuple((cells - du * eu - dv * ev).T)] for du, dv in ((1, 1), (0, 1), (0, 0), (1, 0))], 1
-        )
-        outward = low[tuple(cells.T)]
-        quad = np.where(outward[:, None], quad, quad[:, ::-1])
-        triangles += [quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]
-    return vertices, np.concatenate(triangles)
-
-
-def without_pinches(values: np.ndarray) -> np.ndarray:
-    """Fills grid faces whose signs alternate like a chessboard: there two sheets would share an edge."""
-    values = values.copy()
-    while True:
-        changed = 0
-        for u, v in ((0, 1), (1, 2), (2, 0)):
-            w = np.moveaxis(values, (u, v), (0, 1))  # a view: writing to it writes to values
-            a, b, c, d = w[:-1, :-1], w[1:, :-1], w[:-1, 1:], w[1:, 1:]
-            sa, sb, sc, sd = a < 0, b < 0, c < 0, d < 0
-            bad = (sa == sd) & (sb == sc) & (sa != sb)
-            changed += int(bad.sum())
-            for corner, inside in ((a, sa), (b, sb), (c, sc), (d, sd)):
-                corner[bad & ~inside] = -0.3
-        if not changed:
-            return values
-
-
 def largest_piece(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The connected piece with most vertices."""
     i, j = triangles[:, [0, 1, 2]].ravel(), triangles[:, [1, 2, 0]].ravel()
@@ -159,7 +105,8 @@ def carving() -> tuple[np.ndarray, np.ndarray]:
     grid = np.stack(
         np.meshgrid(*(low[i] + STEP * np.arange(shape[i]) for i in range(3)), indexing="ij"), axis=-1
     )
-    vertices, triangles = surface_nets(without_pinches(gaussian_filter(distance(grid), 0.8)))
+    solid = without_pinches(-gaussian_filter(distance(grid), 0.8), fill=0.3)
+    vertices, triangles = surface_nets(-solid)
     vertices, triangles = largest_piece(vertices, triangles)
     vertices = low + STEP * vertices
     vertices -= vertices.min(axis=0)

@@ -4,7 +4,8 @@ Whatever a scan has missed lies behind its frontier (Yamauchi 1997, doi 10.1109/
 behind a ledge, the mouth of a groove too narrow for a hole in the cloud, a flank met at too grazing an angle.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,8 @@ class Frontier:
     """Unit vectors into the free space, shape (n, 3)."""
     edge: float
     """Of a cell [m]."""
+    passed: Callable[[np.ndarray], np.ndarray] | None = None
+    """Tells which of the places (n, 3) some frame has looked through, shape (n,); None where not known."""
 
 
 class Space:
@@ -95,14 +98,24 @@ class Space:
         state = np.zeros(band.shape, np.uint8)
         state[band] = np.where(self._free[band], _FREE, _UNKNOWN)
         state[occupied] = _OCCUPIED
-        return _frontier_of(state, self._low, self._edge)
+        return replace(_frontier_of(state, self._low, self._edge), passed=self.passed)
+
+    def passed(self, places: np.ndarray) -> np.ndarray:
+        """Which of the places (n, 3) [m] some frame has looked through, shape (n,)."""
+        self._images = [np.concatenate(self._images)] if self._images else []
+        if not self._images:
+            return np.zeros(len(places), bool)
+        return self._seen_through(np.asarray(places, dtype=float), self._images[0], 0)
 
     def _looked_past(self, at: np.ndarray, images: np.ndarray, first: int) -> np.ndarray:
         """Which cells a frame from `first` on has looked past, shape (n,)."""
-        if len(images) == first or len(at) == 0:
-            return np.zeros(len(at), bool)
+        return self._seen_through((at + self._low + 0.5) * self._edge, images, first)
+
+    def _seen_through(self, places: np.ndarray, images: np.ndarray, first: int) -> np.ndarray:
+        if len(images) == first or len(places) == 0:
+            return np.zeros(len(places), bool)
         return _carved(
-            (at + self._low + 0.5) * self._edge, self._X_SO[first:], images[first:],
+            places, self._X_SO[first:], images[first:],
             np.tan(self._scanner.fov[0] / 2), np.tan(self._scanner.fov[1] / 2), self._margin,
         )  # fmt: skip
 

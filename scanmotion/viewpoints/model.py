@@ -5,18 +5,30 @@ and Hoppe 2006, "Poisson surface reconstruction"), here on a regular grid by the
 answer is the same to the last bit every time, which Open3D's octree solver does not promise.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy import fft
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
 from scanmotion.errors import HoleError
 
 _MAX_CELLS = 220
 """Greatest number of grid cells along the longest side."""
+Passed = Callable[[np.ndarray], np.ndarray]
+"""Tells which of the places (n, 3) some frame has looked through, shape (n,) bool."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Solid:
+    """The indicator on its grid, above zero inside."""
+
+    values: np.ndarray
+    origin: np.ndarray
+    cell: float
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,6 +43,8 @@ class ClosedModel:
     """From each triangle's centre to the nearest scanned point, shape (m,) [m]."""
     cell: float
     """Edge of the grid's cells [m]."""
+    solid: _Solid | None = None
+    """What the surface bounds."""
 
     @property
     def centres(self) -> np.ndarray:
@@ -43,8 +57,12 @@ class ClosedModel:
         a, b, c = (self.vertices[self.triangles[:, i]] for i in range(3))
         return np.cross(b - a, c - a)
 
-    def measured(self, points: np.ndarray) -> "ClosedModel":
-        """The same surface with the distances from other scanned points (n, 3)."""
+    def measured(self, points: np.ndarray, passed: Passed | None = None) -> "ClosedModel":
+        """The same surface with the distances from other scanned points (n, 3), less what frames passed."""
+        if passed is not None and self.solid is not None:
+            values = _without_passed(self.solid, points, passed)
+            if (values != self.solid.values).any():
+                return _bounded(replace(self.solid, values=values), points)
         return replace(self, distance=cKDTree(points).query(self.centres)[0])
 
     @property
@@ -54,7 +72,12 @@ class ClosedModel:
 
 
 def closed_model(
-    points: np.ndarray, normals: np.ndarray, *, spacing: float, table_z: float | None = 0.0
+    points: np.ndarray,
+    normals: np.ndarray,
+    *,
+    spacing: float,
+    table_z: float | None = 0.0,
+    passed: Passed | None = None,
 ) -> ClosedModel:
     """Closes a scanned cloud.
 
@@ -63,6 +86,7 @@ def closed_model(
         normals: outward unit normals, shape (n, 3).
         spacing: of the points [m].
         table_z: nothing is solid below this height, because the part stands there [m]; None for no table.
+        passed: where frames have looked through a guess, nothing is solid; None where that is not known.
 
     Raises:
         HoleError: too few points for a surface.
@@ -78,13 +102,48 @@ def closed_model(
     if table_z is not None:
         below = origin[2] + cell * np.arange(shape[2]) < table_z
         chi[:, :, below] = np.minimum(chi[:, :, below], -0.5 * np.abs(chi).mean())
-    vertices, triangles = surface_nets(-without_pinches(chi))
-    vertices = origin + cell * vertices
-    vertices, triangles = _pieces_with_data(vertices, triangles, points, cell)
+    solid = _Solid(chi, origin, cell)
+    if passed is not None:
+        solid = replace(solid, values=_without_passed(solid, points, passed))
+    return _bounded(solid, points)
+
+
+def _bounded(solid: _Solid, points: np.ndarray) -> ClosedModel:
+    vertices, triangles = surface_nets(-without_pinches(solid.values))
+    vertices = solid.origin + solid.cell * vertices
+    vertices, triangles = _pieces_with_data(vertices, triangles, points, solid.cell)
     if len(triangles) == 0:
         raise HoleError("the cloud does not bound a solid; are its normals turned outward?")
     distance, _ = cKDTree(points).query(vertices[triangles].mean(axis=1))
-    return ClosedModel(vertices=vertices, triangles=triangles, distance=distance, cell=cell)
+    return ClosedModel(
+        vertices=vertices, triangles=triangles, distance=distance, cell=solid.cell, solid=solid
+    )
+
+
+def _without_passed(solid: _Solid, points: np.ndarray, passed: Passed) -> np.ndarray:
+    """The indicator, below zero also where frames looked through what was only guessed.
+
+    Goes inwards from the guessed surface, cell by cell: a lid across a pit gives way as deep as eyes went.
+    """
+    values = solid.values.copy()
+    shape = np.array(values.shape)
+    inside = values > 0
+    away = np.ones(values.shape, bool)
+    at = np.round((points - solid.origin) / solid.cell).astype(int)
+    away[tuple(at[((at >= 0) & (at < shape)).all(axis=1)].T)] = False
+    # What is solid next to the data is measured, not guessed.
+    away = np.asarray(binary_erosion(away, np.ones((3, 3, 3)), border_value=1), dtype=bool)
+    edge = np.argwhere(inside & away & np.asarray(binary_dilation(~inside), dtype=bool))
+    empty = -0.5 * float(np.abs(values).mean())
+    while len(edge):
+        gone = edge[passed(solid.origin + solid.cell * edge)]
+        values[tuple(gone.T)] = empty
+        away[tuple(edge.T)] = False
+        beside = np.concatenate([gone + step for step in (*np.eye(3, dtype=int), *-np.eye(3, dtype=int))])
+        beside = beside[((beside >= 0) & (beside < shape)).all(axis=1)]
+        beside = beside[away[tuple(beside.T)] & inside[tuple(beside.T)]]
+        edge = np.unique(beside, axis=0)
+    return values
 
 
 def _indicator(
@@ -117,10 +176,10 @@ def _indicator(
     return chi - level
 
 
-def without_pinches(values: np.ndarray) -> np.ndarray:
+def without_pinches(values: np.ndarray, *, fill: float = 1e-9) -> np.ndarray:
     """Fills grid faces whose signs alternate like a chessboard: there two sheets would share an edge.
 
-    Positive is inside.
+    Positive is inside; `fill` is what filled nodes get.
     """
     values = values.copy()
     for _ in range(64):
@@ -132,7 +191,7 @@ def without_pinches(values: np.ndarray) -> np.ndarray:
             bad = (inside[0] == inside[3]) & (inside[1] == inside[2]) & (inside[0] != inside[1])
             changed += int(bad.sum())
             for corner, solid in zip(corners, inside, strict=True):
-                corner[bad & ~solid] = 1e-9
+                corner[bad & ~solid] = fill
         if not changed:
             break
     return values

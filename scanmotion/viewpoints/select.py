@@ -108,7 +108,8 @@ def local_step(
         frontier: where the frames left space open, narrow strips under ledges above all; None where the
             frames are not known.
         claimed: targets that earlier rounds should have seen, shape (k, 3).
-        model: of an earlier round, whose shape is kept; None makes one of the points.
+        model: of an earlier round, whose shape is kept but for what frames have looked through since; None
+            makes one of the points.
         reachable: tells which poses (n, 4, 4) the robot reaches; None for all.
         seconds: what the chosen may take together, roughly [s].
         prefix: of the viewpoints' ids.
@@ -116,10 +117,11 @@ def local_step(
         rng: draws the targets.
     """
     options = options or SelectOptions()
+    passed = None if frontier is None else frontier.passed
     if model is None:
-        model = closed_model(points, normals, spacing=spacing, table_z=table_z)
+        model = closed_model(points, normals, spacing=spacing, table_z=table_z, passed=passed)
     else:
-        model = model.measured(points)
+        model = model.measured(points, passed)
     scene = _scene(model, table_radius, table_z)
     targets = _targets(model, holes, spacing, frontier, claimed, options, table_z, rng)
     if len(targets.points) == 0:

@@ -1,0 +1,77 @@
+"""The two steps on a mesh with the scan twin alone: no arm, every pose is reached."""
+
+import numpy as np
+
+from scanmotion.part import Part, surface_samples
+from scanmotion.scan.captures import Captures
+from scanmotion.scan.fuse import fuse
+from scanmotion.scan.images import depth_images
+from scanmotion.scan.merge import merged
+from scanmotion.scan.simulate import simulate
+from scanmotion.scanner import Scanner
+from scanmotion.viewpoints.coverage import revolution_poses, scene_from
+from scanmotion.viewpoints.frontier import Space
+from scanmotion.viewpoints.select import LocalStep, local_step
+
+STRIDE, VOXEL, TABLE = 4, 0.004, 0.76
+SCANNER = Scanner()
+
+
+def block_with_pit(size, pit, *, lean=0.0):
+    """A block with a rectangular pit in its top, whose bottom is moved by `lean` along x."""
+    ring = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    outer, inner, top = ring * size[:2], ring * pit[:2], size[2]
+    layers = ((outer, 0.0), (outer, top), (inner, top), (inner + [lean, 0.0], top - pit[2]))
+    vertices = np.vstack([np.column_stack([xy, np.full(4, z)]) for xy, z in layers])
+    triangles = [[0, 2, 1], [0, 3, 2], [12, 13, 14], [12, 14, 15]]
+    for low in (0, 4, 8):
+        for i in range(4):
+            a, b = low + i, low + (i + 1) % 4
+            triangles += [[a, b, b + 4], [a, b + 4, a + 4]]
+    return Part(name="pit", vertices=vertices, triangles=np.array(triangles))
+
+
+class Rounds:
+    """What the scans have shown so far, and the local steps taken on it."""
+
+    def __init__(self, part: Part, *, samples: int = 8000, seed: int = 0) -> None:
+        self.part, self.rng = part, np.random.default_rng(seed)
+        self.scene = scene_from(part.vertices, part.triangles, table_radius=TABLE)
+        self.samples = surface_samples(part, samples, rng=np.random.default_rng(seed + 1))
+        self.seen = np.zeros(samples, bool)
+        self.space = Space(SCANNER, extent=part.extent, edge=VOXEL, stride=STRIDE)
+        self.cloud, self.model, self.claimed = None, None, None
+        self.steps: list[LocalStep] = []
+
+    def look(self, X_OS: np.ndarray) -> None:
+        """Takes frames at poses (n, 4, 4)."""
+        n = len(X_OS)
+        captures = Captures(
+            t=np.arange(n) / 10, X_WS=X_OS, table_angle=np.zeros(n), X_WT=np.eye(4), X_TO=np.eye(4)
+        )
+        scan = simulate(
+            self.scene, SCANNER, captures, stride=STRIDE, rng=self.rng, samples=self.samples, known=self.seen
+        )
+        self.seen |= scan.seen
+        self.space.add(captures.X_OS, depth_images(scan, SCANNER, stride=STRIDE))
+        new = fuse([scan], voxel=VOXEL)
+        self.cloud = new if self.cloud is None else merged(self.cloud, new, voxel=VOXEL)
+
+    def turn(self, views) -> None:
+        """A whole turn of the table at each viewpoint."""
+        self.look(np.concatenate([revolution_poses(v.X_OS, 60) for v in views]))
+
+    def local(self, **options) -> LocalStep:
+        """Chooses viewpoints, and takes their frames."""
+        assert self.cloud is not None
+        step = local_step(
+            self.cloud.points, self.cloud.normals, (), SCANNER, spacing=VOXEL, table_radius=TABLE,
+            frontier=self.space.frontier(self.cloud.points), claimed=self.claimed, model=self.model,
+            rng=self.rng, **options,
+        )  # fmt: skip
+        self.claimed = step.claimed if self.claimed is None else np.concatenate([self.claimed, step.claimed])
+        self.model = step.model
+        self.steps.append(step)
+        for v in step.viewpoints:
+            self.look(revolution_poses(v.X_OS, 60) if v.kind == "revolution" else np.tile(v.X_OS, (6, 1, 1)))
+        return step
