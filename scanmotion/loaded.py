@@ -61,6 +61,9 @@ def load_plan(folder: str | Path) -> LoadedPlan:
         raise PlanFileError("summary.json: is not a plan's summary")
     try:
         settings = settings_from(read_json(folder, record.cell_file), folder=str(folder))
+        if settings.robot.model.endswith(".urdf"):
+            own = settings.robot.model_copy(update={"model": record.urdf_file})
+            settings = settings.model_copy(update={"robot": own})
         solid = _part(folder, record)
         cell = build_cell(settings, solid)
     except PlanFileError:

@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import platform
+import re
 from html import escape
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
@@ -37,7 +38,9 @@ table { border-collapse: collapse; margin: .6em 0 } td, th { padding: .15em .8em
 vertical-align: top; border-bottom: 1px solid #eee } th { font-weight: 600; color: #555 }
 img { max-width: 100% } pre { background: #f6f6f6; padding: .8em; overflow-x: auto; font-size: 12px }
 .ok { color: #1d7a50 } .bad { color: #c8102e } .note { color: #666 } td.n { text-align: right }
+td.n, td.w { white-space: nowrap; font-variant-numeric: tabular-nums } details { margin: .6em 0 }
 """
+_POSITION = re.compile(r"([-+]?[0-9.]+ *){3}")
 # The page may load nothing at all: neither script nor picture nor font from anywhere.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
@@ -67,11 +70,13 @@ def report_html(plan: Any) -> str:
 
 
 def table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
-    """An HTML table; every cell is escaped, numbers stand to the right."""
+    """An HTML table; every cell is escaped, numbers under a header stand to the right."""
 
     def cell(value: Any) -> str:
-        kind = ' class="n"' if isinstance(value, int | float) else ""
-        return f"<td{kind}>{escape(str(value))}</td>"
+        text = str(value)
+        number = header and re.fullmatch(r"[-+]?[0-9.]+%?", text)
+        kind = ' class="n"' if number else ' class="w"' if _POSITION.fullmatch(text) else ""
+        return f"<td{kind}>{escape(text)}</td>"
 
     head = "".join(f"<th>{escape(h)}</th>" for h in header)
     lines = "\n".join("<tr>" + "".join(map(cell, row)) + "</tr>" for row in rows)
@@ -115,6 +120,8 @@ def _numbers(summary: dict[str, Any]) -> str:
     def mm(value: float | None) -> str:
         return "not known" if value is None else f"{value:.3f} mm"
 
+    budget = summary["budget"]
+    within = "inside" if budget["ok"] else "OVER"
     left_out = len(summary["viewpoints"]["unreachable"])
     rows = [
         ("scanned, of what can be seen", share(done["final"])),
@@ -123,7 +130,8 @@ def _numbers(summary: dict[str, Any]) -> str:
         ("accuracy: mean of the absolute distance", mm(exact["mean_abs_mm"])),
         ("standard deviation of the signed distance", mm(exact["sd_signed_mm"])),
         ("mean of the signed distance", mm(exact["mean_signed_mm"])),
-        ("total time", f"{time['total']:.1f} s (budget {summary['budget']['limit_s']:.1f} s)"),
+        ("total time", f"{time['total']:.1f} s ({within} the budget of {budget['limit_s']:.1f} s)"),
+        ("proven floor for the same viewpoints", f"{time['floor']:.1f} s"),
         ("viewpoints", f"{summary['viewpoints']['global']} global, {summary['viewpoints']['local']} local"),
         ("left out", f"{left_out}"),
     ]
@@ -136,17 +144,42 @@ def _coverage(plan: Any) -> str:
             "Coverage", '<p class="note">No mesh of the part is known: nothing can be predicted.</p>'
         )
     parts = [image(coverage_figure(plan), "coverage after the global step and at the end")]
+    parts += _rounds(plan.summary)
     if plan.unscanned:
-        parts.append("<p>Surface that stays unscanned, and why:</p>")
-        parts.append(
-            table(("patch", "reason"), [(i, _reason(u)) for i, u in enumerate(plan.unscanned, start=1)])
-        )
+        parts += _unscanned(plan.unscanned)
     return _section("Coverage", *parts)
 
 
-def _reason(patch: Any) -> str:
-    """The reason of an unscanned patch, whatever kind of record it is."""
-    return str(getattr(patch, "reason", patch))
+def _rounds(summary: dict[str, Any]) -> list[str]:
+    """What each round added."""
+    rows, before = [], None
+    for number, item in enumerate(summary.get("rounds", ()), start=1):
+        done = item["completeness"]
+        gain = "" if done is None or before is None else f"{done - before:+.2%}"
+        share = "not known" if done is None else f"{done:.2%}"
+        rows.append((number, item["step"], item["viewpoints"], share, gain))
+        before = done
+    header = ("round", "step", "viewpoints served", "scanned, of what can be seen", "added")
+    return [table(header, rows)] if rows else []
+
+
+def _unscanned(patches: Any) -> list[str]:
+    """Patches that stay unscanned: by reason, and one by one from the largest."""
+    areas: dict[str, list[float]] = {}
+    for patch in patches:
+        areas.setdefault(patch.reason, []).append(patch.area * 1e6)
+    sums = [(reason, len(a), f"{sum(a):.0f}") for reason, a in areas.items()]
+    rows = [
+        (i, "  ".join(f"{x * 1e3:.0f}" for x in patch.center), f"{patch.area * 1e6:.0f}", patch.reason)
+        for i, patch in enumerate(sorted(patches, key=lambda p: -p.area), start=1)
+    ]
+    return [
+        "<p>Surface of the model of the last scan that stays unscanned, and why:</p>",
+        table(("reason", "patches", "area mm2"), sums),
+        f"<details><summary>all {len(rows)} patches</summary>"
+        + table(("patch", "x y z mm", "area mm2", "reason"), rows)
+        + "</details>",
+    ]
 
 
 def _holes(plan: Any) -> str:
@@ -154,7 +187,7 @@ def _holes(plan: Any) -> str:
     if report is None:
         return ""
     rows = [
-        (f"H{i}", hole.kind, *(round(float(s) * 1e3, 1) for s in hole.extent), round(float(hole.area) * 1e6))
+        (f"H{i}", hole.kind, *(f"{float(s) * 1e3:.1f}" for s in hole.extent), f"{hole.area * 1e6:.0f}")
         for i, hole in enumerate(report.holes, start=1)
     ]
     header = ("hole", "kind", "X' mm", "Y' mm", "Z' mm", "area mm2")
@@ -192,7 +225,7 @@ def _motion(plan: Any, summary: dict[str, Any]) -> str:
     trajectory, process = plan.trajectory, plan.cell.settings.process
     X_WS = scanner_poses(plan.cell, trajectory.q)
     rows = [
-        (o.index, o.kind, " ".join(o.viewpoints), round(o.t_start, 2), round(o.t_end - o.t_start, 2))
+        (o.index, o.kind, " ".join(o.viewpoints), f"{o.t_start:.2f}", f"{o.t_end - o.t_start:.2f}")
         for o in trajectory.operations
     ]
     fastest = max(process.scan_speed_m_s, process.transit_speed_m_s)

@@ -50,6 +50,7 @@ def live_scene(plan: Any) -> Meshcat:
     meshcat.SetProperty("/Background", "bottom_color", [1.0, 1.0, 1.0])
     meshcat.SetProperty("/Grid", "visible", False)
     meshcat.SetProperty("/Axes", "visible", False)
+    meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 0.9)
     bodies = _cell(meshcat, plan)
     _part(meshcat, plan)
     _scanner(meshcat, plan)
@@ -60,8 +61,8 @@ def live_scene(plan: Any) -> Meshcat:
     else:
         _path(meshcat, plan)
         _record(meshcat, plan, bodies)
-    table = plan.cell.X_WT[:3, 3]
-    meshcat.SetCameraPose(table + [0.7, -2.5, 1.5], table + [-0.8, 0.0, 0.5])
+    base, table = plan.cell.X_WB[:3, 3], plan.cell.X_WT[:3, 3]
+    meshcat.SetCameraPose(table + [0.25, -2.4, 1.15], 0.63 * table + 0.37 * base + [0.0, 0.0, 0.45])
     return meshcat
 
 
@@ -155,7 +156,7 @@ def _part(meshcat: Meshcat, plan: Any) -> None:
             f"part/holes/H{number}/label",
             f"H{number}",
             hole.center + 0.03 * hole.normal,
-            0.02,
+            0.03,
             colour,
         )
     _viewpoints(meshcat, plan)
@@ -181,7 +182,7 @@ def _viewpoints(meshcat: Meshcat, plan: Any) -> None:
         path = f"part/viewpoints/{view.id}"
         _mesh(meshcat, f"{path}/field", segments(edges, 0.0015), colour)
         meshcat.SetTransform(f"{path}/field", _pose(view.X_OS))
-        _text(meshcat, f"{path}/label", view.id, view.p_OS + np.array([0.0, 0.0, 0.03]), 0.03, colour)
+        _text(meshcat, f"{path}/label", view.id, view.p_OS + np.array([0.0, 0.0, 0.03]), 0.04, colour)
 
 
 def _text(meshcat: Meshcat, path: str, text: str, at: np.ndarray, height: float, colour: str) -> None:
@@ -196,8 +197,8 @@ def _triad(meshcat: Meshcat, path: str, name: str, X: np.ndarray, length: float)
         end[axis] = length
         line = np.array([np.zeros(3), end])
         _mesh(meshcat, f"{path}/{letter}", tube(line, 0.02 * length), _AXIS_COLOURS[axis])
-        _text(meshcat, f"{path}/{letter}_label", letter, 1.08 * end, 0.12 * length, _AXIS_COLOURS[axis])
-    _text(meshcat, f"{path}/name", name, np.array([0.0, 0.0, 1.3]) * length, 0.2 * length, "#222222")
+        _text(meshcat, f"{path}/{letter}_label", letter, 1.08 * end, 0.05, _AXIS_COLOURS[axis])
+    _text(meshcat, f"{path}/name", name, np.array([0.0, 0.0, 1.08 * length + 0.1]), 0.06, "#222222")
     meshcat.SetTransform(path, _pose(X))
 
 
@@ -295,12 +296,36 @@ background:#ffffffd9;padding:.6em .9em;border-radius:6px;max-width:23em}#sm b{fo
     const a = viewer.animator;
     if (a.playing) a.pause(); else a.play();
   });
+  // Labels face the reader and keep their size on the screen.
+  function labels(node, found) {
+    for (const [name, child] of Object.entries(node.children)) {
+      if (/(label|name)$/.test(name)) found.push(child.object);
+      labels(child, found);
+    }
+    return found;
+  }
+  let shown = "";
+  function face() {
+    requestAnimationFrame(face);
+    if (typeof viewer === "undefined" || !viewer.animator) return;
+    const c = viewer.camera, state = c.matrixWorld.elements.join() + viewer.animator.time;
+    if (state === shown) return;
+    shown = state;
+    const Q = c.quaternion.constructor, V = c.position.constructor, eye = c.getWorldPosition(new V());
+    const turn = c.getWorldQuaternion(new Q()).multiply(new Q(-Math.SQRT1_2, 0, 0, Math.SQRT1_2));
+    for (const o of labels(viewer.scene_tree, [])) {
+      o.quaternion.copy(o.parent.getWorldQuaternion(new Q()).invert().multiply(turn));
+      o.scale.setScalar(o.getWorldPosition(new V()).distanceTo(eye) / 2.4);
+    }
+    viewer.set_dirty();
+  }
+  face();
   setInterval(function () {
     const a = typeof viewer === "undefined" ? null : viewer.animator;
     if (!a || !a.actions.length) return;
     if (asked) { hold(a, Number(asked[1])); asked = null; }
     const t = a.time, step = steps.find(s => t < s[1]) || steps[steps.length - 1];
-    if (a.playing) at.value = t;
+    if (a.playing || document.activeElement !== at) at.value = t;
     play.textContent = a.playing ? "pause" : "play";
     if (step) now.textContent = t.toFixed(1) + " s  " + step[2];
   }, 100);

@@ -67,7 +67,15 @@ def test_report_is_whole_and_loads_nothing(page):
 
 def test_report_says_what_the_plan_holds(page, plan):
     text = " ".join(Reader(page).texts)
-    for word in ("100.00%", "0.080 mm", "13.5 s", "budget 152.0 s", "Seed 7", "passes its checks", "H1"):
+    for word in (
+        "100.00%",
+        "0.080 mm",
+        "13.5 s",
+        "inside the budget of 152.0 s",
+        "Seed 7",
+        "passes its checks",
+        "H1",
+    ):
         assert word in text, word
     for view in plan.viewpoints:
         assert view.id in text
@@ -79,6 +87,29 @@ def test_report_warns_of_findings_and_lateness(plan):
     late = dict(plan.summary, budget={"limit_s": 10.0, "ok": False}, findings=["A3 <too> fast"])
     text = " ".join(Reader(report_html(replace_summary(plan, late))).texts)
     assert "Do not run" in text and "over its budget" in text and "A3 <too> fast" in text
+
+
+def test_report_tells_each_round_and_what_stays_unscanned(plan):
+    import copy
+    from types import SimpleNamespace
+
+    rounds = [
+        {"step": "global", "viewpoints": 4, "completeness": 0.88},
+        {"step": "local", "viewpoints": 7, "completeness": 0.9125},
+    ]
+    told = copy.copy(replace_summary(plan, dict(plan.summary, rounds=rounds)))
+    told.unscanned = [
+        SimpleNamespace(center=np.array([0.01, -0.02, 0.03]), area=2e-6, reason="cannot be seen"),
+        SimpleNamespace(center=np.array([0.1, 0.2, 0.3]), area=5e-6, reason="not worth its seconds"),
+        SimpleNamespace(center=np.array([0.0, 0.0, 0.0]), area=4e-6, reason="cannot be seen"),
+    ]
+    page = report_html(told)
+    rows = [re.findall(r"<td[^>]*>([^<]*)", row) for row in re.findall(r"<tr>(.*?)</tr>", page)]
+    assert ["1", "global", "4", "88.00%", ""] in rows
+    assert ["2", "local", "7", "91.25%", "+3.25%"] in rows
+    assert ["cannot be seen", "2", "6"] in rows
+    assert ["1", "100  200  300", "5", "not worth its seconds"] in rows
+    assert ["3", "10  -20  30", "2", "cannot be seen"] in rows
 
 
 def replace_summary(plan, summary):

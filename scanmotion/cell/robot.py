@@ -12,6 +12,9 @@ from defusedxml.ElementTree import fromstring
 
 from scanmotion.errors import CellError
 
+MOST_M = 20.0
+"""Longest side of a solid of a robot [m]."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Body:
@@ -200,16 +203,21 @@ def _body(label: str, index: int, shape: Element | None, X: np.ndarray, name: st
     where = f"{name}: {label}"
     kind = shape.tag if shape is not None else "nothing"
     if shape is not None and kind == "box":
-        return Body(
-            name=label, link=index, shape="box", size=tuple(_floats(shape.get("size"), 3, where)), X_LG=X
-        )
+        return Body(name=label, link=index, shape="box", size=_size(shape, ("size",), 3, where), X_LG=X)
     if shape is not None and kind == "cylinder":
-        size = tuple(float(_floats(shape.get(k), 1, where)[0]) for k in ("radius", "length"))
+        size = _size(shape, ("radius", "length"), 1, where)
         return Body(name=label, link=index, shape="cylinder", size=size, X_LG=X)
     if shape is not None and kind == "sphere":
-        side = 2 * float(_floats(shape.get("radius"), 1, where)[0])
+        side = 2 * _size(shape, ("radius",), 1, where)[0]
         return Body(name=label, link=index, shape="box", size=(side,) * 3, X_LG=X)
     raise CellError(f"{where}: collision geometry {kind!r} is not read; boxes, cylinders and spheres are")
+
+
+def _size(shape: Element, keys: tuple[str, ...], n: int, where: str) -> tuple[float, ...]:
+    sizes = tuple(float(v) for key in keys for v in _floats(shape.get(key), n, where))
+    if not 0.0 < min(sizes) <= max(sizes) <= MOST_M:
+        raise CellError(f"{where}: a {shape.tag} of {sizes} m is not usable; 0 to {MOST_M:g} m are")
+    return sizes
 
 
 def rotations(axes: np.ndarray, angles: np.ndarray) -> np.ndarray:

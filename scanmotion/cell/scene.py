@@ -1,11 +1,14 @@
 """The cell as a Drake MultibodyPlant, put together by model directives, with its collision checker."""
 
+import logging
 import tempfile
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
+from xml.etree.ElementTree import SubElement, tostring
 
 import numpy as np
+from defusedxml.ElementTree import fromstring
 from pydrake.common import Parallelism
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelDirectives
@@ -15,6 +18,10 @@ from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 from scanmotion.cell.filter import IGNORED_PAIRS
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 from scanmotion.cell.robot import Body
+
+# Drake tells of every port it opens and every context it allocates; warnings still come through. Who wants
+# to hear more sets the level after this import.
+logging.getLogger("drake").setLevel(logging.WARNING)
 
 _COLOURS = {"scanner": "0.15 0.16 0.18 1", "table": "0.72 0.73 0.75 1", "floor": "0.93 0.93 0.92 1"}
 _GREY = "0.45 0.46 0.48 1"
@@ -81,9 +88,10 @@ def write_models(cell: Cell, folder: Path) -> Path:
         '<axis xyz="0 0 1"/></joint></robot>'
     )
     (folder / "turntable.urdf").write_text(joint)
+    (folder / "arm.urdf").write_text(_drawable(cell.urdf_path.resolve()), encoding="utf-8")
     lines = ["directives:"]
     for name, file in (
-        ("arm", cell.urdf_path.resolve().as_uri()),
+        ("arm", (folder / "arm.urdf").as_uri()),
         ("tool", (folder / "tool.urdf").as_uri()),
         ("turntable", (folder / "turntable.urdf").as_uri()),
         ("stand", (folder / "stand.urdf").as_uri()),
@@ -106,9 +114,30 @@ def write_models(cell: Cell, folder: Path) -> Path:
     return path
 
 
-def _base_link(cell: Cell) -> str:
-    from defusedxml.ElementTree import fromstring
+def _drawable(urdf: Path) -> str:
+    """The robot's URDF with pictures that Drake can find; a link without any is drawn as its solids.
 
+    Robots of one's own often name meshes of a ROS package, or of a folder that is not here.
+    """
+    root = fromstring(urdf.read_text(encoding="utf-8"))
+    for link in root.iter("link"):
+        for visual in link.findall("visual"):
+            mesh = visual.find("geometry/mesh")
+            if mesh is None:
+                continue
+            file = urdf.parent / mesh.get("filename", "").removeprefix("file://")
+            if file.suffix.lower() in (".obj", ".gltf", ".glb") and file.is_file():
+                mesh.set("filename", file.resolve().as_uri())
+            else:
+                link.remove(visual)
+        if link.find("visual") is None:
+            for solid in link.findall("collision"):
+                visual = SubElement(link, "visual")
+                visual.extend(element for element in solid if element.tag in ("origin", "geometry"))
+    return tostring(root, encoding="unicode")
+
+
+def _base_link(cell: Cell) -> str:
     root = fromstring(cell.urdf_path.read_text(encoding="utf-8"))
     children = {link.get("link") for link in root.iterfind("joint/child")}
     parents = [link.get("link", "") for link in root.iterfind("joint/parent")]

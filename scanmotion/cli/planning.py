@@ -30,6 +30,7 @@ from scanmotion.cli.inputs import (
 from scanmotion.errors import InputError
 
 AGAIN = "Planning again"
+TWIN = "The scan twin"
 STRATEGIES = ("two-step", "cad-slicing", "surface-partitioning")
 
 
@@ -73,6 +74,27 @@ def plan(
             "--failed", help="With --keep: a viewpoint to leave out; may be repeated.", rich_help_panel=AGAIN
         ),
     ] = None,
+    calibrate: Annotated[
+        bool | None,
+        typer.Option(
+            "--calibrate/--no-calibrate",
+            help="Estimate hand-eye and table axis from the scans; default: where the cell's twin has "
+            "constant errors.",
+            rich_help_panel=TWIN,
+        ),
+    ] = None,
+    surface: Annotated[
+        bool,
+        typer.Option("--surface", help="Assess the reconstructed surface too.", rich_help_panel=TWIN),
+    ] = False,
+    save_scans: Annotated[
+        bool,
+        typer.Option(
+            "--save-scans",
+            help="Write cloud.ply, deviation.ply and the range images of each round.",
+            rich_help_panel=TWIN,
+        ),
+    ] = False,
     out: Annotated[Path, typer.Option("--out", help="Folder of the plan.", rich_help_panel=OUT)] = Path(
         "out"
     ),
@@ -93,15 +115,16 @@ def plan(
     check_out_folder(out)
     only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
     settings = subject = source = None
+    twin = {"calibrate": calibrate, "surface": surface, "keep_scans": save_scans}
     if keep is None:
         settings = with_budget(cell_from(robot, cell), budget)
         subject, source = part_and_source(part, box, scan, units=units, up=up, place=place)
     with progress_bar(quiet=quiet or json) as progress:
         if keep is not None:
-            made = planned_again(keep, done, failed or (), budget, progress)
+            made = planned_again(keep, done, failed or (), budget, progress, **twin)
         else:
             told = {"source": source, "mode": mode, "strategy": strategy, "seed": seed}
-            made = planned(subject, settings, progress, **told)
+            made = planned(subject, settings, progress, **told, **twin)
         made.save(out, extras=pages(made, progress) if html else {})
     summary = read_summary(out)
     if json:
@@ -118,12 +141,16 @@ def planned(subject: Any, settings: Any, progress: Any, **options: Any) -> Any:
     return plan(subject, settings, options=PlanOptions(**options), progress=progress)
 
 
-def planned_again(keep: Any, done: str, failed: Sequence[str], budget: float | None, progress: Any) -> Any:
+def planned_again(
+    keep: Any, done: str, failed: Sequence[str], budget: float | None, progress: Any, **options: Any
+) -> Any:
     """What an earlier plan has not executed, planned anew behind what it has."""
+    from scanmotion.pipeline import PlanOptions
     from scanmotion.replan import replan
 
     check_budget(budget)
-    return replan(keep, done=done, failed=failed, budget_s=budget, progress=progress)
+    told = PlanOptions(**options)
+    return replan(keep, done=done, failed=failed, budget_s=budget, options=told, progress=progress)
 
 
 def only_with_keep(keep: Path | None, done: str, failed: Sequence[str] | None, **given: Any) -> None:
@@ -226,12 +253,27 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
             "viewpoints",
             f"{views['global']} global, {views['local']} local, {len(views['unreachable'])} left out",
         ),
-        ("completeness", f"{share(done['final'])} of what can be seen"),
+        ("completeness, of what can be seen", share(done["final"])),
         ("after the global step", share(done["after_global"])),
         ("of the whole surface", share(done["final_of_whole"])),
         ("accuracy", f"mean {mm(exact['mean_abs_mm'])}, standard deviation {mm(exact['sd_signed_mm'])}"),
+        *twin_rows(summary),
         ("time", f"{time['total']:.1f} s, {verdict} the budget of {limit:g} s (floor {time['floor']:.1f} s)"),
         ("of which [s]", split),
         ("checks", "no finding" if not summary["findings"] else f"{len(summary['findings'])} findings"),
         ("planned in", f"{summary['planning_s']['total']:.1f} s"),
     ]  # fmt: skip
+
+
+def twin_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Lines of the final table on the surface, calibration and registration, where there are any."""
+    rows, made, found = [], summary["accuracy"].get("surface"), summary.get("calibration")
+    if made is not None:
+        sd = made["sd_signed_mm"]
+        rows.append(("of the surface", f"mean {made['mean_abs_mm']:.3f} mm, standard deviation {sd:.3f} mm"))
+    if found is not None:
+        before, after = (found["global_cloud"][k]["mean_abs_mm"] for k in ("before", "after"))
+        rows.append(("calibration", f"the global scan's mean from {before:.3f} to {after:.3f} mm"))
+    for item in summary.get("registration", []):
+        rows.append((f"round {item['round']} on the cloud", item["statement"]))
+    return rows

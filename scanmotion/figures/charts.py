@@ -54,6 +54,15 @@ def tcp_figure(trajectory: Any, p_WS: np.ndarray, limit: float) -> "Figure":
     _operations(ax, trajectory, legend=True)
     ax.plot(trajectory.t, tcp_speed(trajectory.t, p_WS), color="#1b6ca8", lw=0.9)
     _limits(ax, (limit,))
+    ax.annotate(
+        f"limit {limit:g} m/s",
+        (1, limit),
+        xycoords=("axes fraction", "data"),
+        fontsize=7,
+        color="#c8102e",
+        ha="right",
+        va="bottom",
+    )
     ax.set(xlabel="time [s]", ylabel="scanner speed [m/s]", ylim=(0, None))
     return figure
 

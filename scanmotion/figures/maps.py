@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scanmotion.figures import palette
-from scanmotion.figures.surface import in_sight, plain_image, status_image, status_of_samples, view_of
+from scanmotion.figures.surface import View, in_sight, plain_image, status_image, status_of_samples, view_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,7 +16,7 @@ SIDES = (
     ("from +y", 90, 10),
     ("from -x", 180, 10),
     ("from -y", 270, 10),
-    ("from above", 0, 89.9),
+    ("from above", 270, 89.9),
 )
 """Name, azimuth and elevation [deg] of the views that a row of pictures shows."""
 
@@ -30,26 +30,39 @@ def new_figure(width: float, height: float) -> "Figure":
 
 def coverage_figure(plan: Any) -> "Figure":
     """Five sides of the part after the global step (upper row) and at the end (lower row)."""
-    figure = new_figure(11.5, 5.2)
-    axes = figure.subplots(2, len(SIDES))
+    views = _views(plan.part)
+    figure, axes = _gallery(views, 2)
     for row, after, title in ((0, "global", "after the global step"), (1, "final", "at the end")):
         status = status_of_samples(plan, after=after)
-        for column, (side, azimuth, elevation) in enumerate(SIDES):
-            view = view_of(plan.part, azimuth=azimuth, elevation=elevation)
-            _image(axes[row, column], status_image(plan.part, view, plan.samples, status))
-            axes[row, column].set_title(f"{side}, {title}" if column == 0 else side, fontsize=8)
+        for ax, view, (side, *_) in zip(axes[row], views, SIDES, strict=True):
+            _image(ax, status_image(plan.part, view, plan.samples, status))
+            ax.set_title(f"{title}:\n{side}" if ax is axes[row, 0] else side, fontsize=8, loc="left")
     _legend(figure, list(zip(palette.STATUS_NAMES, palette.STATUS_COLOURS, strict=True)))
     return figure
 
 
+def _views(part: Any, pixels: int = 420) -> list[View]:
+    """SIDES in one scale, `pixels` for the longest side among them."""
+    scale = max(view_of(part, azimuth=a, elevation=e, pixels=pixels).scale for _, a, e in SIDES)
+    return [view_of(part, azimuth=a, elevation=e, scale=scale) for _, a, e in SIDES]
+
+
+def _gallery(views: list[View], rows: int) -> tuple["Figure", np.ndarray]:
+    """A figure with `rows` rows of axes, shape (rows, len(views)), in which all views have one scale."""
+    widths, width = [view.shape[1] for view in views], 11.5
+    height = max(view.shape[0] for view in views) / sum(widths) * width + 0.3
+    figure = new_figure(width, rows * min(height, 4.0) + 0.4)
+    return figure, figure.subplots(rows, len(views), squeeze=False, width_ratios=widths)
+
+
 def hole_figure(part: Any, report: Any) -> "Figure":
     """Five sides of the part with the boundary of each hole, coloured by kind and numbered."""
-    figure = new_figure(11.5, 3.0)
-    axes = figure.subplots(1, len(SIDES))
-    for ax, (side, azimuth, elevation) in zip(axes, SIDES, strict=True):
-        image, picture = plain_image(part, view_of(part, azimuth=azimuth, elevation=elevation))
+    views = _views(part)
+    figure, axes = _gallery(views, 1)
+    for ax, view, (side, *_) in zip(axes[0], views, SIDES, strict=True):
+        image, picture = plain_image(part, view)
         _image(ax, image)
-        ax.set_title(side, fontsize=8)
+        ax.set_title(side, fontsize=8, loc="left")
         for number, hole in enumerate(report.holes, start=1):
             loop = np.vstack([hole.boundary, hole.boundary[:1]])
             shown = in_sight(picture, loop)
@@ -116,12 +129,12 @@ def _silhouette(above: "Axes", beside: "Axes", part: Any, radius: float) -> None
     turn = np.linspace(0.0, 2.0 * np.pi, 100)
     above.plot(radius * np.cos(turn), radius * np.sin(turn), color="#b0b0b0", lw=0.8)
     beside.plot([0.0, radius], [0.0, 0.0], color="#b0b0b0", lw=2.0)
-    above.set(xlabel="x of O [m]", ylabel="y of O [m]", aspect="equal", title="from above")
+    above.set(xlabel="x of O [m]", ylabel="y of O [m]", aspect="equal", title="viewpoints from above")
     beside.set(
         xlabel="distance from the table's axis [m]",
         ylabel="z of O [m]",
         aspect="equal",
-        title="from the side",
+        title="viewpoints from the side",
     )
 
 
@@ -148,7 +161,9 @@ def cell_figure(plan: Any, X_WS: np.ndarray) -> "Figure":
     for ax, second, name in zip(views, (1, 2), "yz", strict=True):
         ax.plot(base[0], base[second], "^", color="#444444", ms=9)
         ax.annotate("robot", (base[0], base[second]), textcoords="offset points", xytext=(6, 6), fontsize=7)
+        title = "the scanner's way, from " + ("above" if name == "y" else "the side")
         ax.set(xlabel="x of W [m]", ylabel=f"{name} of W [m]", aspect="equal")
+        ax.set_title(title, fontsize=9)
         ax.grid(alpha=0.3)
     kinds = dict.fromkeys(o.kind for o in trajectory.operations)
     _legend(figure, [(kind, palette.OPERATION_COLOURS[kind]) for kind in kinds])

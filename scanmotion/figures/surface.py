@@ -49,8 +49,18 @@ class View:
         return p @ self.right / self.scale + cols / 2, rows / 2 - p @ self.up / self.scale, p @ self.toward
 
 
-def view_of(part: Part, *, azimuth: float, elevation: float, pixels: int = 360) -> View:
-    """A view from `azimuth` (0 is +x of O) and `elevation` [deg] that just holds the part."""
+def view_of(
+    part: Part, *, azimuth: float, elevation: float, pixels: int = 360, scale: float | None = None
+) -> View:
+    """A view from `azimuth` (0 is +x of O) and `elevation` [deg] that just holds the part.
+
+    Args:
+        part: what is looked at.
+        azimuth: [deg].
+        elevation: [deg].
+        pixels: along the picture's longer side, unless `scale` is given.
+        scale: metres per pixel.
+    """
     a, e = np.deg2rad([azimuth, elevation])
     toward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
     right = np.array([-np.sin(a), np.cos(a), 0.0])
@@ -58,9 +68,9 @@ def view_of(part: Part, *, azimuth: float, elevation: float, pixels: int = 360) 
     center = part.bounds.mean(axis=0)
     p = part.vertices - center
     wide, high = 2.08 * np.abs(p @ right).max(), 2.08 * np.abs(p @ up).max()
-    scale = max(wide, high, 1e-6) / pixels
-    shape = (max(int(high / scale), 16), max(int(wide / scale), 16))
-    return View(right=right, up=up, toward=toward, center=center, scale=scale, shape=shape)
+    size = max(wide, high, 1e-6) / pixels if scale is None else scale
+    shape = (max(int(high / size), 16), max(int(wide / size), 16))
+    return View(right=right, up=up, toward=toward, center=center, scale=size, shape=shape)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
