@@ -94,9 +94,10 @@ class PlanOptions:
             if getattr(self, name) not in known:
                 raise InputError(f"unknown {name} {getattr(self, name)!r}; known: {', '.join(known)}")
         if self.source != "mesh":
-            asked = [k for k in ("calibrate", "surface", "keep_scans") if getattr(self, k)]
+            uses = {"calibrate": "calibrate from", "surface": "make a surface of", "keep_scans": "save"}
+            asked = [use for name, use in uses.items() if getattr(self, name)]
             if asked:
-                raise InputError(f"{asked[0]}: only a mesh is scanned by the twin, not a {self.source}")
+                raise InputError(f"a {self.source} is not scanned by the twin: no scans to {asked[0]}")
 
 
 def plan(
@@ -301,6 +302,7 @@ class Trip:
         self.rounds.append(Round(step=step, leg=leg, seen=self.seen.copy()))
 
     def _scan(self, trajectory: Trajectory, rng: np.random.Generator) -> None:
+        assert self.scene is not None
         captures = captures_from_trajectory(
             trajectory, lambda q: scanner_poses(self.cell, q),
             fps=self.settings.process.fps, X_WT=self.cell.X_WT, X_TO=self.cell.X_TO,
