@@ -19,6 +19,7 @@ _HOMES = {
     "build_cell": "cell.plant",
     "reach": "motion.reach",
     "tour_from_cost": "motion.tsp",
+    "PlanOptions": "pipeline",
     "plan": "pipeline",
     "load_plan": "loaded",
     "verify": "judge",

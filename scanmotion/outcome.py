@@ -2,6 +2,7 @@
 
 import functools
 import io
+import json
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
@@ -156,7 +157,8 @@ class Plan:
             key = {"revolution": "table", "sweep": "sweep", "dwell": "dwell"}.get(o.kind)
             split[key or ("arm" if arm_moves else "table")] += o.t_end - o.t_start
         total = self.trajectory.duration if self.trajectory is not None else 0.0
-        return {"total": total, **split, "floor": sum(r.leg.tour.floor for r in self.rounds)}
+        floor = sum(r.leg.tour.floor for r in self.rounds)
+        return {k: float(v) for k, v in {"total": total, **split, "floor": floor}.items()}
 
     def budget(self) -> dict[str, Any]:
         """The budget, what uses it up, and what a shorter programme would see."""
@@ -181,7 +183,7 @@ class Plan:
         """summary.json: what the plan achieves; docs/results.md says what each figure means."""
         time_s = self.time_s()
         served = [v for item in self.rounds for v in item.leg.served]
-        return {
+        told = {
             "viewpoints": {
                 "global": sum(v.step == "global" for v in served),
                 "local": sum(v.step == "local" for v in served),
@@ -212,6 +214,8 @@ class Plan:
             "findings": [str(f) for f in self.findings],
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
         }
+        # What is told in memory is what stands on disk: plain numbers, no numpy scalars.
+        return json.loads(json_text(told))
 
     def _share(self, seen: np.ndarray) -> float | None:
         if self.visible is None or len(seen) != len(self.visible):

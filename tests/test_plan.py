@@ -129,6 +129,15 @@ def test_the_summary_has_the_contracts_keys(saved, planned):
     assert summary["findings"] == []
     assert summary["planning_s"]["total"] >= max(v for k, v in summary["planning_s"].items() if k != "total")
     assert summary == json.loads(json.dumps(planned.summary))
+    assert {type(v) for v in leaves(planned.summary)} <= {str, int, float, bool, type(None)}
+
+
+def leaves(value):
+    """The values of a document that hold no others."""
+    if isinstance(value, dict | list):
+        inner = value.values() if isinstance(value, dict) else value
+        return [leaf for item in inner for leaf in leaves(item)]
+    return [value]
 
 
 def test_the_summary_counts_what_the_plan_holds(saved, planned):
