@@ -67,6 +67,8 @@ class Figures:
     sd_signed_mm: float
     time_s: float
     """Robot time."""
+    global_s: float
+    """Robot time until the global step is done."""
     floor_s: float
     """Lower bound on the time to visit the same viewpoints."""
     viewpoints: int
@@ -88,6 +90,7 @@ class Row:
     mean_abs_mm: tuple[float, float]
     sd_signed_mm: tuple[float, float]
     time_s: tuple[float, float]
+    global_s: tuple[float, float]
     floor_s: tuple[float, float]
     viewpoints: tuple[float, float]
     unreachable: tuple[float, float]
@@ -153,6 +156,7 @@ def figures(
     told = replace(options or PlanOptions(), seed=seed, **VARIANTS[variant])
     result = plan(part, settings, options=told)
     accuracy, share, time_s = result.accuracy(), result.completeness(), result.time_s()
+    legs = [item.leg.trajectory for item in result.rounds if item.step == "global"]
     first, final = share["after_global"], share["final"]
     return Figures(
         variant=variant, seed=seed,
@@ -160,7 +164,9 @@ def figures(
         integrity=np.nan if final is None else float(final),
         mean_abs_mm=accuracy.mean_abs * 1e3 if accuracy else np.nan,
         sd_signed_mm=accuracy.sd_signed * 1e3 if accuracy else np.nan,
-        time_s=float(time_s["total"]), floor_s=float(time_s["floor"]),
+        time_s=float(time_s["total"]),
+        global_s=float(sum(leg.duration for leg in legs if leg is not None)),
+        floor_s=float(time_s["floor"]),
         viewpoints=sum(len(item.leg.served) for item in result.rounds),
         unreachable=len(result.unreachable),
         planning_s=float(result.planning_s["total"]),

@@ -44,7 +44,7 @@ PAIRS = [f.name for f in fields(Figures) if f.name not in ("variant", "seed")]
 def made(variant="two-step", seed=0, **changed) -> Figures:
     values = {
         "after_global": 0.9, "integrity": 0.99, "mean_abs_mm": 0.05, "sd_signed_mm": 0.07, "time_s": 80.0,
-        "floor_s": 75.0, "viewpoints": 12, "unreachable": 1, "planning_s": 9.0,
+        "global_s": 40.0, "floor_s": 75.0, "viewpoints": 12, "unreachable": 1, "planning_s": 9.0,
     }  # fmt: skip
     return Figures(variant=variant, seed=seed, **{**values, **changed})
 
@@ -84,6 +84,8 @@ def test_figures_are_possible(table):
         assert 0.0 < row.after_global[0] <= row.integrity[0] <= 1.0
         assert row.integrity[1] >= 0.0
         assert 0.0 < row.floor_s[0] <= row.time_s[0]
+        assert 0.0 < row.global_s[0] <= row.time_s[0]
+        assert (row.global_s[0] < row.time_s[0]) or row.after_global == row.integrity
         # The mean of |x| is at most the root mean square, which the signed deviation and the bias make up.
         assert 0.0 < row.mean_abs_mm[0] < 0.3 and 0.0 < row.sd_signed_mm[0] < 0.5
         assert row.viewpoints[0] >= 1
@@ -458,6 +460,14 @@ def test_targets_are_counted(table3, tmp_path):
     assert len(lines) == 6
     for line in lines:
         assert line.split("|")[2:4] == [" 1 of 2 ", " bad "], line
+
+
+def test_seconds_until_as_much_is_seen(table3):
+    ours = row_from([made(after_global=0.95, integrity=0.99, global_s=40.0, time_s=80.0)])
+    for seen, expected in ((0.94, "0.40"), (0.97, "0.80"), (0.995, "")):
+        theirs = row_from([made("paper-mode", integrity=seen, time_s=100.0)])
+        assert table3["as_far_as"](ours, theirs) == expected
+    assert table3["as_far_as"](ours, None) == ""
 
 
 def test_only_what_stands_between_the_marks_is_replaced(table3, tmp_path):
