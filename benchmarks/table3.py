@@ -143,7 +143,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def as_far_as(row: Row, other: Row | None) -> str:
-    """Seconds after which the default has seen what the paper's way sees in all, over the latter's seconds."""
+    """Seconds until the default has seen what the paper's way sees in all, over the latter's seconds."""
     if other is None or other.time_s[0] <= 0 or row.integrity[0] < other.integrity[0]:
         return ""
     seconds = row.global_s[0] if row.after_global[0] >= other.integrity[0] else row.time_s[0]
@@ -161,12 +161,14 @@ def default_table(results: Results) -> str:
         lines.append([
             name, " x ".join(map(str, results.extent[name])), pair(row.after_global, ".2%"),
             pair(row.integrity, ".2%"), pair(row.mean_abs_mm, ".3f"), pair(row.sd_signed_mm, ".3f"),
-            pair(row.time_s, ".1f"), pair(row.global_s, ".1f"), floor, against, same, pair(row.viewpoints, ".0f"), str(len(row.seeds)),
+            pair(row.time_s, ".1f"), pair(row.global_s, ".1f"), floor, against, same,
+            pair(row.viewpoints, ".0f"), str(len(row.seeds)),
             pair(row.planning_s, ".0f"),
         ])  # fmt: skip
     header = (
         "object", "size mm", "after the global step", "complete", "mean mm", "sd mm", "time s",
-        "of which global", "time / floor", "time / paper's way", "as far as the paper's way", "views", "seeds", "planning s",
+        "of which global", "time / floor", "time / paper's way", "as far as the paper's way", "views",
+        "seeds", "planning s",
     )  # fmt: skip
     return table(header, lines)
 

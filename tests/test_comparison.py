@@ -149,6 +149,7 @@ def test_methods_are_counted_on_the_same_samples(settings):
         for name in ("paper-mode", "without-occlusion")
     }
     one, other = results.values()
+    assert one.samples is not None and other.samples is not None
     assert np.array_equal(one.samples.points, other.samples.points)
     # What can be seen is found by search, and what a plan sees besides counts too.
     assert np.mean(one.visible != other.visible) < 0.002
