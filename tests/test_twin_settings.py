@@ -1,13 +1,34 @@
 """The twin's errors as settings, what calibration in the trip buys, and the files of the scans."""
 
+import json
 import math
 from dataclasses import fields, replace
+from pathlib import Path
 
+import numpy as np
 import pytest
+from scans import SCANNER, bumpy, turns
+from test_plan import TINY, pitted
 
 from scanmotion.cell.config import load_cell, settings_from
-from scanmotion.errors import CellError
-from scanmotion.scan.captures import ScanErrors
+from scanmotion.errors import CellError, InputError
+from scanmotion.judge import verify
+from scanmotion.loaded import load_plan
+from scanmotion.measured import calibration_record, surface_record
+from scanmotion.part import box_part, surface_samples
+from scanmotion.partfile import read_geometry
+from scanmotion.pipeline import PlanOptions, plan
+from scanmotion.scan.assess import signed_distances
+from scanmotion.scan.calibrate import PARAMETERS, Calibration, errors_from
+from scanmotion.scan.captures import ScanErrors, motion
+from scanmotion.scan.files import load_scan
+from scanmotion.scan.fuse import fuse
+from scanmotion.scan.mend import Mender, Mending, moved
+from scanmotion.scan.simulate import simulate, still_captures
+from scanmotion.viewpoints.viewpoint import look_at
+
+OPTIONS = {**TINY, "seed": 5}
+SCAN_FILES = {"cloud.ply", "deviation.ply", "frames-1.npz"}
 
 
 def test_a_cell_that_says_nothing_has_the_stated_noise():
@@ -62,3 +83,209 @@ def test_a_wrong_error_is_refused_with_its_key(twin, key, word):
     with pytest.raises(CellError) as caught:
         settings_from({"twin": twin})
     assert caught.value.key == key and word in str(caught.value) and "\n" not in str(caught.value)
+
+
+# One trip calibrated, one not, one again: the table's axis is 0.5 mm off.
+
+
+@pytest.fixture(scope="module")
+def planted():
+    return settings_from({**load_cell("kr240").model_dump(mode="json"), "twin": {"axis_mm": [0.5, 0.0]}})
+
+
+@pytest.fixture(scope="module")
+def lumps(planted, tmp_path_factory):
+    folder, part = tmp_path_factory.mktemp("lumps"), bumpy(60)
+    asked = PlanOptions(keep_scans=True, surface=True, **OPTIONS)
+    made = plan(part, planted, options=asked)
+    made.save(folder / "mended")
+    plan(part, planted, options=asked).save(folder / "again")
+    plan(part, planted, options=replace(asked, calibrate=False, keep_scans=False)).save(folder / "left")
+    return made, folder
+
+
+def summary_of(folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text())
+
+
+def test_calibration_makes_the_trip_several_times_more_accurate(lumps):
+    mended, left = (summary_of(lumps[1] / name) for name in ("mended", "left"))
+    assert left["accuracy"]["mean_abs_mm"] > 0.25
+    assert mended["accuracy"]["mean_abs_mm"] < left["accuracy"]["mean_abs_mm"] / 5
+    assert mended["accuracy"]["surface"]["mean_abs_mm"] < left["accuracy"]["surface"]["mean_abs_mm"] / 4
+    assert left["calibration"] is None and left["registration"] == []
+    # What was seen, and so what was planned, comes from the true poses in both.
+    assert mended["completeness"] == left["completeness"]
+    found = mended["calibration"]["global_cloud"]
+    assert found["before"]["mean_abs_mm"] == pytest.approx(left["accuracy"]["mean_abs_mm"], abs=0.02)
+    assert found["after"]["mean_abs_mm"] < 0.06
+
+
+def test_the_estimate_is_the_planted_error_within_its_stated_uncertainty(lumps, planted):
+    found = summary_of(lumps[1] / "mended")["calibration"]
+    for key in ("hand_eye_mm", "hand_eye_deg", "axis_mm", "axis_deg"):
+        off = np.subtract(found["estimated"][key], getattr(planted.twin, key))
+        assert (np.abs(off) < 4 * np.array(found["sd"][key])).all(), key
+    assert abs(found["estimated"]["backlash_deg"]) < 4 * found["sd"]["backlash_deg"]
+    assert found["estimated"]["axis_mm"][0] == pytest.approx(0.5, abs=0.1)
+    assert found["disagreement_mm"]["after"] < found["disagreement_mm"]["before"]
+    assert found["undetermined"] == [] and "disagree" in found["statement"]
+
+
+def test_the_same_command_writes_the_same_bytes(lumps):
+    one, two = (
+        {p.name: p.read_bytes() for p in (lumps[1] / name).iterdir()} for name in ("mended", "again")
+    )  # fmt: skip
+    assert set(one) == set(two) and set(one) >= SCAN_FILES
+    assert [name for name in sorted(one) if one[name] != two[name]] in ([], ["summary.json"])
+    a, b = (summary_of(lumps[1] / name) for name in ("mended", "again"))
+    assert {**a, "planning_s": 0} == {**b, "planning_s": 0}
+    assert not SCAN_FILES & {p.name for p in (lumps[1] / "left").iterdir()}
+
+
+def test_judge_and_readers_pass_over_the_scans(lumps):
+    made, folder = lumps
+    assert verify(folder / "mended") == []
+    assert load_plan(folder / "mended").trajectory.duration == made.trajectory.duration
+
+
+def test_saved_scans_hold_what_was_fused(lumps):
+    made, folder = lumps
+    cloud = read_geometry(folder / "mended" / "cloud.ply").vertices * 1e-3
+    np.testing.assert_allclose(cloud, made.cloud.points, atol=1e-7)
+    back = [load_scan(folder / "mended" / f"frames-{i + 1}.npz") for i in range(len(made.scans))]
+    for a, b in zip(back, made.scans, strict=True):
+        np.testing.assert_array_equal(a.points_O, b.points_O)
+        np.testing.assert_array_equal(a.captures.X_OS, b.captures.X_OS)
+    again = fuse(back, voxel=TINY["voxel"])
+    np.testing.assert_array_equal(again.points, made.cloud.points)
+
+
+def test_the_deviation_mesh_lies_on_the_part(lumps):
+    made, folder = lumps
+    mesh = read_geometry(folder / "mended" / "deviation.ply")
+    assert len(mesh.triangles) > 1000
+    d = np.abs(signed_distances(mesh.vertices * 1e-3, made.part))
+    assert np.median(d) < 0.1e-3
+    stated = summary_of(folder / "mended")["accuracy"]["surface"]
+    assert stated["triangles"] == len(mesh.triangles)
+    assert set(stated) == {
+        "mean_abs_mm", "sd_signed_mm", "mean_signed_mm", "triangles", "from_truth",
+    }  # fmt: skip
+
+
+def test_local_rounds_are_registered_and_said_so(planted):
+    made = plan(pitted(), planted, options=PlanOptions(keep_scans=True, **OPTIONS))
+    found = made.summary["registration"]
+    assert len(found) == len(made.scans) - 1 >= 1
+    for item in found:
+        assert made.rounds[item["round"] - 1].step == "local"
+        assert 0 < item["rms_mm"] < 0.5 and 0 < item["fitness"] <= 1
+        assert item["statement"].startswith("trusted" if item["trusted"] else "not to be trusted")
+    assert set(made.summary["accuracy"]) == {"mean_abs_mm", "sd_signed_mm", "mean_signed_mm"}
+    assert made.summary["accuracy"]["mean_abs_mm"] < 0.12
+    json.dumps(made.summary, allow_nan=False)
+
+
+def test_without_constant_errors_nothing_is_estimated_or_kept():
+    made = plan(bumpy(30), load_cell("kr240"), options=PlanOptions(**{**OPTIONS, "rounds": 0}))
+    assert made.mending is None and made.scans == ()
+    assert made.summary["calibration"] is None and made.summary["registration"] == []
+
+
+def test_options_win_over_the_cells_errors(planted):
+    told = PlanOptions(errors=ScanErrors.none(), **{**OPTIONS, "rounds": 0})
+    made = plan(bumpy(30), planted, options=told)
+    assert made.mending is None
+    assert made.accuracy().mean_abs < 0.02e-3
+
+
+@pytest.mark.parametrize("source", ["box", "scan"])
+@pytest.mark.parametrize("option", ["calibrate", "surface", "keep_scans"])
+def test_what_the_twin_does_not_scan_cannot_be_asked_for(source, option):
+    with pytest.raises(InputError, match=f"{source} is not scanned"):
+        PlanOptions(source=source, **{option: True})
+
+
+# Mending by itself.
+
+
+def test_a_moved_scan_shows_the_same_range_images(lump):
+    scan = turns(lump, ScanErrors(), n=4)
+    X = motion(np.array([[1e-3, -2e-3, 5e-4, 0.01, -0.02, 0.03]]))[0]
+    there = moved(scan, X)
+    np.testing.assert_allclose(there.captures.X_OS, X @ scan.captures.X_OS, atol=1e-12)
+    p = np.column_stack([there.points_O, np.ones(len(there))])
+    p_S = np.einsum("nij,nj->ni", np.linalg.inv(there.captures.X_OS)[there.frame], p)
+    np.testing.assert_allclose(p_S[:, 2], scan.depth, atol=1e-6)
+    assert np.array_equal(there.pixel, scan.pixel)
+
+
+def test_a_later_scan_is_put_back_where_it_belongs(lump, lump_cloud):
+    later = turns(lump, ScanErrors(), seed=3, n=6)
+    X = motion(np.array([[6e-4, -4e-4, 5e-4, 2e-3, -1e-3, 2e-3]]))[0]
+    mender = Mender(lump, voxel=0.002)
+    mended = mender.mended(moved(later, X), lump_cloud, index=1)
+    ((index, found),) = mender.mending.registrations
+    assert index == 1 and found.trusted
+    off = np.linalg.norm(mended.points_O.astype(float) - later.points_O, axis=1)
+    assert off.max() < 0.1e-3 < np.linalg.norm(moved(later, X).points_O - later.points_O, axis=1).mean()
+
+
+def test_a_scan_that_can_slide_stays_where_it_is():
+    plate = box_part(0.4, 0.4, 0.05)
+    X = np.stack([look_at((x, 0.0, 0.7), (0, 0, -1)) for x in (0.0, 0.01, -0.01)])
+    first, later = (simulate(plate, SCANNER, still_captures(X), rng=np.random.default_rng(k)) for k in (0, 1))
+    mender = Mender(plate, voxel=0.002)
+    cloud = fuse([first])
+    shifted = moved(later, motion(np.array([[5e-4, 0, 0, 0, 0, 0]]))[0])
+    inner = mender.mended(shifted, cloud, index=2)
+    ((_, found),) = mender.mending.registrations
+    assert not found.trusted and "free" in found.statement
+    np.testing.assert_array_equal(inner.points_O, shifted.points_O)
+
+
+def test_an_empty_or_lonely_scan_is_left_alone(lump, lump_cloud):
+    away = look_at((0.7, 0, 0.1), (1, 0, 0))[None]
+    empty = simulate(lump, SCANNER, still_captures(away), rng=np.random.default_rng(0))
+    assert len(empty) == 0
+    mender = Mender(lump, voxel=0.002)
+    assert mender.mended(empty, None, index=0) is empty
+    assert mender.mended(empty, lump_cloud, index=1) is empty
+    one = simulate(
+        lump, SCANNER, still_captures(look_at((0.7, 0, 0.1), (-1, 0, 0))[None]),
+        rng=np.random.default_rng(0),
+    )  # fmt: skip
+    # A single frame overlaps nothing: there is nothing to calibrate from.
+    assert mender.mended(one, None, index=0) is one
+    assert mender.mending.calibration is None and mender.mending.registrations == ()
+
+
+def test_the_surface_is_assessed_both_ways():
+    """A box grown by 0.1 mm on all sides: both distances are 0.1 mm but at the edges, where they differ."""
+    box, grown = box_part(0.2, 0.2, 0.2), box_part(0.2002, 0.2002, 0.2002)
+    grown = replace(grown, vertices=grown.vertices - [0, 0, 1e-4])
+    points = surface_samples(box, 5000, rng=np.random.default_rng(0)).points
+    found = surface_record((grown.vertices, grown.triangles), box, points)
+    assert found["mean_abs_mm"] == pytest.approx(0.1, abs=1e-3)
+    assert found["mean_signed_mm"] == pytest.approx(0.1, abs=1e-3)
+    assert found["sd_signed_mm"] < 5e-3
+    assert found["from_truth"]["mean_abs_mm"] == pytest.approx(0.1, abs=1e-3)
+    assert found["triangles"] == 12
+    assert surface_record((grown.vertices, grown.triangles), box)["from_truth"] is None
+
+
+def test_what_calibration_states_can_be_written_into_a_cell():
+    theta = np.array([1e-4, -2e-4, 3e-4, 1e-3, 2e-3, -1e-3, 5e-4, -5e-4, 1e-3, -1e-3, 1e-3])
+    found = Calibration(
+        errors=errors_from(theta), sd=np.abs(theta), known=theta > 0, rms_before=2e-4, rms_after=1e-4,
+        statement="",
+    )  # fmt: skip
+    record = calibration_record(Mending(calibration=found))
+    assert record["undetermined"] == [p for p, t in zip(PARAMETERS, theta, strict=True) if t < 0]
+    assert record["disagreement_mm"] == {"before": 0.2, "after": 0.1}
+    for key, expected in (("estimated", theta), ("sd", np.abs(theta))):
+        e = settings_from({"twin": record[key]}).twin_errors()
+        told = [*e["hand_eye_m"], *e["hand_eye_rad"], *e["axis_m"], *e["axis_rad"], e["backlash_rad"]]
+        np.testing.assert_allclose(told, expected, atol=2e-8)
+    assert calibration_record(None) is None and calibration_record(Mending()) is None

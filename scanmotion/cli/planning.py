@@ -225,6 +225,7 @@ def print_summary(summary: dict[str, Any], folder: Path, *, html: bool = True) -
         rows = [(finding_line(f),) for f in summary["findings"]]
         print_table("The judge found", ("finding",), rows)
     names = ["trajectory.csv", "summary.json"] + (["scene.html", "report.html"] if html else [])
+    names += [name for name in ("cloud.ply", "deviation.ply") if (folder / name).is_file()]
     print_table("Files", (), [(name.split(".")[0], str(folder / name)) for name in names])
 
 
