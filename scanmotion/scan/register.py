@@ -144,6 +144,8 @@ class _Pairs:
     """In O, shape (k, 3)."""
     normal: np.ndarray
     """Of the partner in O, shape (k, 3)."""
+    own: np.ndarray
+    """Of the points themselves in O, shape (k, 3)."""
     distance: np.ndarray
     """Along the normal, shape (k,) [m]."""
     index: np.ndarray
@@ -168,9 +170,10 @@ def _all_pairs(sheets: list[_Sheet], X: np.ndarray, reach: float) -> list[_Pairs
             normal = b.normals[k] @ X[j, :3, :3].T
             agree = np.einsum("ij,ij->i", normal, n_O[where]) > 0.7
             where, k, normal = where[agree], k[agree], normal[agree]
+            own = n_O[where]
             q_O = b.points[k] @ X[j, :3, :3].T + X[j, :3, 3]
             r = np.einsum("ij,ij->i", p_O[where] - q_O, normal)
-            found.append(_Pairs(i=i, j=j, point=p_O[where], normal=normal, distance=r, index=where))
+            found.append(_Pairs(i=i, j=j, point=p_O[where], normal=normal, own=own, distance=r, index=where))
     return found
 
 
@@ -228,6 +231,20 @@ def _moved(X: np.ndarray, step: np.ndarray, sheets: list[_Sheet]) -> np.ndarray:
     return out
 
 
+def _information(mine: list[_Pairs], w: np.ndarray, centre: np.ndarray, size: float) -> np.ndarray:
+    """What the partners say about the cloud's motion, (6, 6), without what their normals' noise pretends.
+
+    The normals of a plane scatter, and their squares would hold the plane against sliding. Both sides of a
+    pair scatter on their own: the product of the two means what the shape means.
+    """
+    if not mine:
+        return np.zeros((6, 6))
+    J = np.concatenate([_rows(p, centre, size) for p in mine])
+    own = np.concatenate([_rows(replace(p, normal=p.own), centre, size) for p in mine])
+    A = J.T @ (w[:, None] * own)
+    return (A + A.T) / 2
+
+
 def _verdict(
     i: int, sheets: list[_Sheet], X: np.ndarray, first: np.ndarray, partners: list[_Pairs]
 ) -> Registration:
@@ -238,12 +255,7 @@ def _verdict(
     held = np.unique(np.concatenate([p.index for p in mine])) if mine else np.zeros(0, int)
     fitness = len(held) / len(sheet.ask)
     rms = float(np.sqrt((w * distance**2).sum() / max(w.sum(), 1e-30)))
-    J = (
-        np.concatenate([_rows(p, _centre(sheet, X[i]), sheet.size) for p in mine])
-        if mine
-        else np.zeros((0, 6))
-    )
-    values = np.linalg.eigvalsh(J.T @ (w[:, None] * J))
+    values = np.linalg.eigvalsh(_information(mine, w, _centre(sheet, X[i]), sheet.size))
     condition = float(values[-1] / values[0]) if values[0] > 1e-12 * max(values[-1], 1e-30) else np.inf
     uncertainty = rms / float(np.sqrt(values[0])) if np.isfinite(condition) else np.inf
     change = X[i] @ inverse(first[i : i + 1])[0]
