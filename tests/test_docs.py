@@ -3,6 +3,7 @@
 import re
 import runpy
 import shlex
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -96,8 +97,14 @@ def write_ply(
     file.write_text("\n".join([*head, "end_header", *lines]) + "\n")
 
 
+@pytest.fixture
+def folder(files, tmp_path):
+    """A folder of its own for each page, as a reader has it."""
+    return Path(shutil.copytree(files, tmp_path / "work"))
+
+
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def files(tmp_path_factory):
     """What the README takes for granted: a statue, a measured scan and two turns of it."""
     folder, rng = tmp_path_factory.mktemp("readme"), np.random.default_rng(0)
     part = box_part(0.16, 0.12, 0.25)
