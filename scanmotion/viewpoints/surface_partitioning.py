@@ -18,15 +18,15 @@ from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
 
 _SHARE = 0.85
 _SAMPLES = 6000
-_ABOVE_TABLE = 0.09
-"""Least height of a view above the table [m]."""
+_ABOVE_TABLE = 0.15
+"""Least height of a view above the table: below it the scanner's mount comes too near [m]."""
 _MOST_RAISED = np.deg2rad(45.0)
 """A view that must be raised further is left out: it would graze its patch [rad]."""
 _SEEDS = 24
 """Seeds tried for each patch."""
 _SCRAP = 10e-4
 """Patches smaller than this get no view of their own [m2]: their neighbours' views mostly see them."""
-_SCRAP_SHARE = 0.005
+_SCRAP_SHARE = 0.002
 """The same as a share of the surface, for small parts."""
 
 
