@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from scans import SCANNER, bumpy, turns
 from test_plan import TINY, pitted
+from typer.testing import CliRunner
 
 from scanmotion.cell.config import load_cell, settings_from
+from scanmotion.cli import app
+from scanmotion.cli.planning import twin_rows
 from scanmotion.errors import CellError, InputError
 from scanmotion.judge import verify
 from scanmotion.loaded import load_plan
@@ -205,6 +208,24 @@ def test_options_win_over_the_cells_errors(planted):
 def test_what_the_twin_does_not_scan_cannot_be_asked_for(source, option):
     with pytest.raises(InputError, match=f"{source} is not scanned"):
         PlanOptions(source=source, **{option: True})
+
+
+@pytest.mark.parametrize("option", ["--calibrate", "--surface", "--save-scans"])
+def test_the_command_refuses_what_a_box_cannot_give(option, tmp_path):
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["plan", "--box", "200", "200", "200", option, "--out", str(out)])
+    assert result.exit_code == 2 and "a box is not scanned" in result.output
+    assert not out.exists()
+
+
+def test_the_final_table_shows_what_calibration_bought(lumps):
+    mended, left = (dict(twin_rows(summary_of(lumps[1] / name))) for name in ("mended", "left"))
+    assert set(mended) == {"of the surface", "calibration"} and set(left) == {"of the surface"}
+    found = summary_of(lumps[1] / "mended")["calibration"]["global_cloud"]
+    for key in ("before", "after"):
+        assert f"{found[key]['mean_abs_mm']:.3f}" in mended["calibration"]
+    told = {"accuracy": {}, "registration": [{"round": 2, "statement": "trusted: yes"}]}
+    assert twin_rows(told) == [("round 2 on the cloud", "trusted: yes")]
 
 
 # Mending by itself.
