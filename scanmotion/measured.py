@@ -36,6 +36,7 @@ def calibration_record(mending: Mending | None) -> dict[str, Any] | None:
     e = asdict(found.errors)
     values = [*e["hand_eye_m"], *e["hand_eye_rad"], *e["axis_m"], *e["axis_rad"], e["backlash_rad"]]
     return {
+        "applied": mending.applied,
         "estimated": _by_name(values),
         "sd": _by_name(found.sd),
         "undetermined": _undetermined(found),
@@ -43,7 +44,7 @@ def calibration_record(mending: Mending | None) -> dict[str, Any] | None:
             "before": round(found.rms_before * 1e3, 5), "after": round(found.rms_after * 1e3, 5),
         },
         "global_cloud": {"before": millimetres(mending.before), "after": millimetres(mending.after)},
-        "statement": found.statement,
+        "statement": found.statement + ("" if mending.applied else "; nothing is corrected"),
     }  # fmt: skip
 
 

@@ -132,7 +132,7 @@ def test_the_estimate_is_the_planted_error_within_its_stated_uncertainty(lumps, 
     assert abs(found["estimated"]["backlash_deg"]) < 4 * found["sd"]["backlash_deg"]
     assert found["estimated"]["axis_mm"][0] == pytest.approx(0.5, abs=0.1)
     assert found["disagreement_mm"]["after"] < found["disagreement_mm"]["before"]
-    assert found["undetermined"] == [] and "disagree" in found["statement"]
+    assert found["applied"] and found["undetermined"] == [] and "disagree" in found["statement"]
 
 
 def test_the_same_command_writes_the_same_bytes(lumps):
@@ -264,6 +264,17 @@ def test_a_scan_that_can_slide_stays_where_it_is():
     ((_, found),) = mender.mending.registrations
     assert not found.trusted and "free" in found.statement
     np.testing.assert_array_equal(inner.points_O, shifted.points_O)
+
+
+def test_one_turn_tells_the_errors_not_apart_and_is_left_alone(lump):
+    X = np.stack([look_at((0.7 * np.cos(a), 0.7 * np.sin(a), 0.1), (-np.cos(a), -np.sin(a), 0))
+                  for a in np.linspace(0, 2 * np.pi, 24, endpoint=False)])  # fmt: skip
+    scan = simulate(lump, SCANNER, still_captures(X), rng=np.random.default_rng(0))
+    mender = Mender(lump, voxel=0.002)
+    assert mender.mended(scan, None, index=0) is scan
+    record = calibration_record(mender.mending)
+    assert not record["applied"] and record["statement"].endswith("nothing is corrected")
+    assert record["undetermined"] and record["global_cloud"]["before"] == record["global_cloud"]["after"]
 
 
 def test_an_empty_or_lonely_scan_is_left_alone(lump, lump_cloud):

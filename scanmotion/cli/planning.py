@@ -274,7 +274,8 @@ def twin_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(("of the surface", f"mean {made['mean_abs_mm']:.3f} mm, standard deviation {sd:.3f} mm"))
     if found is not None:
         before, after = (found["global_cloud"][k]["mean_abs_mm"] for k in ("before", "after"))
-        rows.append(("calibration", f"the global scan's mean from {before:.3f} to {after:.3f} mm"))
+        bought = f"the global scan's mean from {before:.3f} to {after:.3f} mm"
+        rows.append(("calibration", bought if found["applied"] else found["statement"]))
     for item in summary.get("registration", []):
         rows.append((f"round {item['round']} on the cloud", item["statement"]))
     return rows

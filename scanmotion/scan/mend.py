@@ -23,10 +23,16 @@ class Mending:
 
     calibration: Calibration | None = None
     """None where the first scan does not overlap itself."""
+    applied: bool = False
+    """Whether scans are corrected: only where the first one determines all unknowns.
+
+    Where it leaves some free (one turn, or two alike), the others drift with them: a clean scan of two turns
+    was made ten times worse.
+    """
     before: Accuracy | None = None
     """Of the global step's cloud as it was measured."""
     after: Accuracy | None = None
-    """The same, calibrated."""
+    """The same as it is fused."""
     registrations: tuple[tuple[int, Registration], ...] = ()
     """Of each later scan onto the cloud so far, with its index among the rounds."""
 
@@ -50,7 +56,7 @@ class Mender:
             return scan
         if cloud is None:
             return self._calibrated(scan)
-        if self.mending.calibration is not None:
+        if self.mending.calibration is not None and self.mending.applied:
             scan = corrected(scan, self.mending.calibration.errors)
         try:
             found = register(fuse([scan], voxel=self._voxel), cloud)
@@ -65,11 +71,11 @@ class Mender:
             found = calibrate([scan], points=_POINTS)
         except InputError:
             return scan
-        better = corrected(scan, found.errors)
-        before, after = (
-            accuracy(fuse([s], voxel=self._voxel).points, self._part) for s in (scan, better)
-        )  # fmt: skip
-        self.mending = replace(self.mending, calibration=found, before=before, after=after)
+        applied = bool(found.known.all())
+        better = corrected(scan, found.errors) if applied else scan
+        before = accuracy(fuse([scan], voxel=self._voxel).points, self._part)
+        after = accuracy(fuse([better], voxel=self._voxel).points, self._part) if applied else before
+        self.mending = Mending(calibration=found, applied=applied, before=before, after=after)
         return better
 
 
