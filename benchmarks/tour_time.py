@@ -7,9 +7,9 @@ are ordered by mode "paper" in the same cell: a genetic algorithm on the Euclide
 only for what the arm cannot reach; nothing is left out for taking long. `both` counts the viewpoints that the
 paper's way serves, too, of those that the plan serves; `moves` compares the transits alone, for revolutions
 and dwells take the same time either way. With --whole the paper's own viewpoints are planned, too: seconds
-and completeness of mode "paper" from end to end. Parts are those of ../shared/data/ where that lies beside the
-checkout, and the built-in carving. Exit status 1 where a programme passes 1.10 of its floor or 0.5 of the
-paper's.
+and completeness of mode "paper" from end to end. Parts are those of ../shared/data/ where that lies beside
+the checkout, and the built-in carving. Exit status 1 where a programme passes 1.10 of its floor or 0.5 of
+the paper's.
 """
 
 import argparse

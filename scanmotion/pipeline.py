@@ -200,8 +200,9 @@ class Trip:
 
     def global_step(self) -> None:
         """Stepped rotary scanning of the bounding box."""
+        length, width, height = (float(side) for side in self.part.extent)
         step = stepped_rotary(
-            *self.part.extent, self.scanner,
+            length, width, height, self.scanner,
             standoff=self.settings.process.standoff_m,
             mode=self.options.mode,
             pedestal=self.settings.pedestal.height_m,

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from scanmotion.part import Part, surface_samples
-from scanmotion.scan.captures import Captures
+from scanmotion.part import Part, box_part, surface_samples
+from scanmotion.scan.captures import Captures, ScanErrors
 from scanmotion.scan.fuse import fuse
 from scanmotion.scan.images import depth_images
 from scanmotion.scan.merge import merged
@@ -29,6 +29,45 @@ def block_with_pit(size, pit, *, lean=0.0):
             a, b = low + i, low + (i + 1) % 4
             triangles += [[a, b, b + 4], [a, b + 4, a + 4]]
     return Part(name="pit", vertices=vertices, triangles=np.array(triangles))
+
+
+def boxes(*given):
+    """Vertices and triangles of boxes (low corner, high corner), together."""
+    vertices, triangles = [], []
+    for k, (low, high) in enumerate(given):
+        one = box_part(*(np.array(high) - low))
+        vertices.append(one.vertices + [*(np.array(low) + high)[:2] / 2, low[2]])
+        triangles.append(one.triangles + 8 * k)
+    return np.concatenate(vertices), np.concatenate(triangles)
+
+
+def blocked(blocks, a, b):
+    """Whether a box stands between two places, by slabs: slow, and nobody else's code."""
+    for low, high in blocks:
+        enter, leave = 1e-6, 1.0
+        for k in range(3):
+            step = b[k] - a[k]
+            if abs(step) < 1e-15:
+                if not low[k] <= a[k] <= high[k]:
+                    enter, leave = 1.0, 0.0
+                continue
+            s, t = sorted(((low[k] - a[k]) / step, (high[k] - a[k]) / step))
+            enter, leave = max(enter, s), min(leave, t)
+        if enter < leave:
+            return True
+    return False
+
+
+def frames(part, X_OS, scanner, *, stride=1):
+    """What perfect frames at poses (n, 4, 4) measure: points (m, 3), and depth images."""
+    n = len(X_OS)
+    captures = Captures(
+        t=np.arange(n) / 10, X_WS=X_OS, table_angle=np.zeros(n), X_WT=np.eye(4), X_TO=np.eye(4)
+    )
+    scan = simulate(
+        part, scanner, captures, errors=ScanErrors.none(), stride=stride, rng=np.random.default_rng(0)
+    )
+    return np.asarray(scan.points_O, float), depth_images(scan, scanner, stride=stride)
 
 
 class Rounds:

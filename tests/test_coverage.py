@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rounds import blocked, boxes
 
 from scanmotion.part import Part, box_part, surface_samples
 from scanmotion.scanner import Scanner
@@ -51,33 +52,8 @@ def above(z, *, roll=0.0, x=0.0, y=0.0):
     return look_at(np.array([x, y, z]), np.array([0, 0, -1]), roll=roll)
 
 
-def boxes(*given):
-    """Triangles of boxes (low corner, high corner), together."""
-    vertices, triangles = [], []
-    for k, (low, high) in enumerate(given):
-        one = box_part(*(np.array(high) - low))
-        vertices.append(one.vertices + [*(np.array(low) + high)[:2] / 2, low[2]])
-        triangles.append(one.triangles + 8 * k)
-    return np.concatenate(vertices), np.concatenate(triangles)
-
-
 def reference(blocks, scanner, X_OS, points, normals):
     """Slowly and one by one: slabs for occlusion, angles for field and incidence."""
-
-    def blocked(a, b):
-        for low, high in blocks:
-            enter, leave = 1e-6, 1.0
-            for k in range(3):
-                step = b[k] - a[k]
-                if abs(step) < 1e-15:
-                    if not low[k] <= a[k] <= high[k]:
-                        enter, leave = 1.0, 0.0
-                    continue
-                s, t = sorted(((low[k] - a[k]) / step, (high[k] - a[k]) / step))
-                enter, leave = max(enter, s), min(leave, t)
-            if enter < leave:
-                return True
-        return False
 
     out = np.zeros((len(X_OS), len(points)), bool)
     for i, X in enumerate(X_OS):
@@ -90,7 +66,7 @@ def reference(blocks, scanner, X_OS, points, normals):
             for eye in eyes:
                 line = (eye - p) / np.linalg.norm(eye - p)
                 ok = ok and np.arccos(np.clip(line @ n, -1, 1)) <= scanner.max_incidence
-                ok = ok and not blocked(p + 2e-4 * n, eye)
+                ok = ok and not blocked(blocks, p + 2e-4 * n, eye)
             out[i, j] = ok
     return out
 

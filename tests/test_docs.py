@@ -149,3 +149,13 @@ def test_python_of_the_readme_names_what_exists():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     for name in re.findall(r"\bsm\.(\w+)", text):
         assert name in sm.__all__
+
+
+@pytest.mark.slow
+def test_python_of_the_readme_runs(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for block in re.findall(r"```python\n(.*?)```", text, flags=re.S):
+        exec(compile(block, "README.md", "exec"), {})
+    assert "final" in capsys.readouterr().out
+    assert (folder / "out" / "trajectory.csv").is_file()

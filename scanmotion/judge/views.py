@@ -117,7 +117,7 @@ def _nearest(view: ViewpointRecord, X_OS: np.ndarray) -> tuple[float, float, int
     """By how much position and angle stay outside what the viewpoint allows, and at which sample least."""
     X = np.array(view.X_OS)
     if view.kind == "revolution":
-        X_OS = _turned(X_OS, X, view.standoff_m)
+        X_OS = _turned(X_OS, X, view.standoff_m, 2 if view.slack_roll else 0)
     p_S, z_S, z = X_OS[:, :3, 3], X_OS[:, :3, 2], X[:3, 2]
     tilt = np.arccos(np.clip(z_S @ z, -1, 1))
     # The allowed axis that is nearest to the scanner's own: it turns about the aimed point.
@@ -136,13 +136,14 @@ def _nearest(view: ViewpointRecord, X_OS: np.ndarray) -> tuple[float, float, int
     return float(off[k]), float(angle[k]), k
 
 
-def _turned(X_OS: np.ndarray, X: np.ndarray, reach: float) -> np.ndarray:
+def _turned(X_OS: np.ndarray, X: np.ndarray, reach: float, first: int) -> np.ndarray:
     """Each pose turned about the table's axis as near to X as it comes, since any azimuth will do.
 
-    What is brought together is the scanner's origin and the tips of its axes, `reach` long, so that a
-    scanner on the axis itself has an azimuth too.
+    What is brought together is the scanner's origin and the tips of its axes from the `first`, `reach`
+    long, so that a scanner on the axis itself has an azimuth too. Where its roll is free, the tip of z
+    alone counts.
     """
-    tips = reach * np.eye(3)
+    tips = reach * np.eye(3)[first:]
     ours = np.concatenate([X_OS[:, None, :3, 3], X_OS[:, None, :3, 3] + tips @ _T(X_OS[:, :3, :3])], axis=1)
     wanted = np.concatenate([X[None, :3, 3], X[None, :3, 3] + tips @ X[:3, :3].T])
     dot = np.einsum("nkx,kx->n", ours[..., :2], wanted[:, :2])

@@ -25,6 +25,8 @@ SECONDS_PER_METRE = 12.0
 """The scanner's way at 0.1 m/s with its ramps [s/m]."""
 _ASKED = 48
 """Candidates of which reach is asked at once."""
+_BATCHES = 60
+"""So many times at most, to tell what cannot be reached."""
 _TURN = 30
 """Poses by which a whole turn is scored."""
 
@@ -324,12 +326,23 @@ def _view(X_OS: np.ndarray, turns: bool, name: str, gain: float) -> Viewpoint:
     )  # fmt: skip
 
 
+def _decide(matrix: np.ndarray, arm: _Arm) -> None:
+    """Asks for reach until each target has a row that is reached, or none left to ask for."""
+    for _ in range(_BATCHES):
+        undecided = ~matrix[arm.reached].any(axis=0)
+        count = np.where(arm.known, 0, matrix[:, undecided].sum(axis=1))
+        asked = np.argsort(-count, kind="stable")[:_ASKED]
+        if count[asked[0]] == 0:
+            return
+        arm.ask(asked[count[asked] > 0])
+
+
 def _patches(targets: _Targets, covered: np.ndarray, matrix: np.ndarray, arm: _Arm) -> tuple[Patch, ...]:
     """What is left, gathered by place and reason."""
     from scipy.cluster.hierarchy import fcluster, linkage
 
     left = np.flatnonzero(~covered)
-    arm.ask(np.flatnonzero(matrix[:, left].any(axis=1))[: 20 * _ASKED])
+    _decide(matrix[:, left], arm)
     usable = matrix & (arm.reached | ~arm.known)[:, None]
     reasons = np.where(~matrix.any(axis=0), 0, np.where(~usable.any(axis=0), 1, 2))[left]
     names = ("cannot be seen", "cannot be reached", "not worth its seconds")
