@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from scanmotion.cell.clearance import Clearance
 from scanmotion.cell.config import CellSettings
@@ -31,6 +32,7 @@ from scanmotion.viewpoints.model import ClosedModel, closed_model
 from scanmotion.viewpoints.select import SelectOptions, local_step
 from scanmotion.viewpoints.stepped_rotary import stepped_rotary
 from scanmotion.viewpoints.surface_partitioning import surface_partitioning
+from scanmotion.viewpoints.targets import TargetOptions
 from scanmotion.viewpoints.viewpoint import Viewpoint
 
 __all__ = ["PlanOptions", "plan"]
@@ -42,6 +44,10 @@ Strategy = Literal["two-step", "cad-slicing", "surface-partitioning"]
 
 _THOROUGH_RATE = 2.5e-6
 """Least share of the surface per second that a viewpoint of a thorough plan adds [1/s]."""
+
+
+_LEAST_KEPT = 0.05
+"""A round that kept less of its promises is taken for one that kept so much."""
 
 
 _SIDE_TRIP_S = 10.0
@@ -150,9 +156,7 @@ class Trip:
         self.holes: HoleReport | None = None
         self.dropped: list[tuple[str, str]] = []
         self.unscanned: tuple = ()
-        self.space = Space(
-            self.scanner, extent=part.extent, edge=options.voxel, stride=options.stride, table_z=self.table_z
-        )
+        self.space = Space(self.scanner, edge=options.voxel, stride=options.stride, table_z=self.table_z)
         self.shunned: list[np.ndarray] = []
         self.claimed: list[np.ndarray] = []
         self.model: ClosedModel | None = None
@@ -246,16 +250,19 @@ class Trip:
         assert self.cloud is not None
         # The holes of a measured scan are what was asked for: none is left for its seconds.
         thorough = self.options.thorough or self.options.source == "scan"
+        rate = _THOROUGH_RATE if thorough else SelectOptions().least_rate
         step = local_step(
             self.cloud.points, self.cloud.normals, holes.holes, self.scanner,
             spacing=self.options.voxel,
-            frontier=self.space.frontier(self.cloud.points) if self.scans else None,
+            space=self.space if self.scans else None,
             seconds=self._seconds_left(),
             claimed=np.concatenate(self.claimed) if self.claimed else None,
             model=self.model,
-            options=SelectOptions(least_rate=_THOROUGH_RATE) if thorough else None,
+            options=SelectOptions(least_rate=rate / self._kept()),
             table_radius=self.settings.turntable.diameter_m / 2,
             table_z=self.table_z,
+            pedestal_radius=self.settings.pedestal.diameter_m / 2,
+            explain=self.options.source == "scan",
             reachable=self._reachable if self.options.reach_feedback else None,
             rng=self._rng(20 + number),
         )  # fmt: skip
@@ -263,6 +270,16 @@ class Trip:
         self.claimed.append(step.claimed)
         self.model = step.model
         return step.viewpoints
+
+    def _kept(self) -> float:
+        """Share of what the last round's viewpoints should have seen that has been measured since: how far a
+        further round can be trusted to find anything.
+        """
+        if not self.claimed or len(self.claimed[-1]) == 0:
+            return 1.0
+        assert self.cloud is not None
+        gap = TargetOptions().gap * self.options.voxel
+        return max(float((cKDTree(self.cloud.points).query(self.claimed[-1])[0] <= gap).mean()), _LEAST_KEPT)
 
     def _seconds_left(self) -> float:
         """Of the budget, for the next round, with some in hand because its order is not known yet [s]."""

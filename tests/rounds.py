@@ -78,7 +78,7 @@ class Rounds:
         self.scene = scene_from(part.vertices, part.triangles, table_radius=TABLE)
         self.samples = surface_samples(part, samples, rng=np.random.default_rng(seed + 1))
         self.seen = np.zeros(samples, bool)
-        self.space = Space(SCANNER, extent=part.extent, edge=VOXEL, stride=STRIDE)
+        self.space = Space(SCANNER, edge=VOXEL, stride=STRIDE)
         self.cloud, self.model, self.claimed = None, None, None
         self.steps: list[LocalStep] = []
 
@@ -105,7 +105,7 @@ class Rounds:
         assert self.cloud is not None
         step = local_step(
             self.cloud.points, self.cloud.normals, (), SCANNER, spacing=VOXEL, table_radius=TABLE,
-            frontier=self.space.frontier(self.cloud.points), claimed=self.claimed, model=self.model,
+            space=self.space, claimed=self.claimed, model=self.model,
             rng=self.rng, **options,
         )  # fmt: skip
         self.claimed = step.claimed if self.claimed is None else np.concatenate([self.claimed, step.claimed])

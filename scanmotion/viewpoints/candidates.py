@@ -1,16 +1,23 @@
 """Candidates of the local step: poses about what is unseen, and whole turns past it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from scanmotion.scanner import Scanner
-from scanmotion.viewpoints.coverage import Scene, free_lines, hemisphere, tangents
+from scanmotion.viewpoints.coverage import Scene, free_lines, hemisphere, sees, tangents, turns_see
 from scanmotion.viewpoints.holes import Hole
 from scanmotion.viewpoints.stepped_rotary import UPRIGHT, oblique_turn
+from scanmotion.viewpoints.targets import Targets
 
+Reachable = Callable[[np.ndarray], np.ndarray]
+"""Tells which poses X_OS (n, 4, 4) the robot reaches, shape (n,)."""
+ASKED = 48
+"""Candidates of which reach is asked at once."""
 _CONE = np.deg2rad(65.0)
+_TURN = 30
+"""Poses by which a whole turn is scored."""
 
 
 def _spread(points: np.ndarray, most: int) -> np.ndarray:
@@ -39,37 +46,77 @@ class CandidateOptions:
     """Most stations kept of one seed."""
 
 
+class Candidates:
+    """Poses, what each sees of the targets, and what the robot reaches of them: asked where it matters."""
+
+    def __init__(
+        self, X_OS: np.ndarray, turns: np.ndarray, sees: np.ndarray, reachable: Reachable | None
+    ) -> None:
+        self.X_OS, self.turns, self.sees = X_OS, turns, sees
+        """Poses (n, 4, 4), which of them are whole turns (n,), which sees which target (n, m)."""
+        self._reachable = reachable
+        self.known = np.full(len(X_OS), reachable is None)
+        self.reached = np.full(len(X_OS), reachable is None)
+
+    def ask(self, index: np.ndarray) -> None:
+        """Finds out whether the robot reaches these."""
+        index = index[~self.known[index]]
+        if len(index) and self._reachable is not None:
+            self.reached[index] = self._reachable(self.X_OS[index])
+            self.known[index] = True
+
+
 def candidates(
     scene: Scene,
     scanner: Scanner,
-    solid: np.ndarray,
-    targets: np.ndarray,
-    normals: np.ndarray,
-    holes: Sequence[Hole],
+    targets: Targets,
     *,
+    solid: np.ndarray,
+    holes: Sequence[Hole] = (),
+    reachable: Reachable | None = None,
     table_radius: float,
     table_z: float,
-    options: CandidateOptions,
-) -> tuple[np.ndarray, np.ndarray]:
+    options: CandidateOptions | None = None,
+) -> Candidates:
     """Poses with free lines from both eyes to their seed, and whole turns.
 
     Args:
         scene: what blocks sight.
         scanner: range, baseline, incidence.
+        targets: what is to be seen.
         solid: points of the surface, shape (k, 3): turns are laid by its radius and height.
-        targets: what is to be seen, shape (m, 3).
-        normals: of the targets, shape (m, 3).
         holes: their centres are seeds too, along their normals.
+        reachable: of the robot; None for all.
         table_radius: of the table's disc [m].
         table_z: its height in O [m].
         options: how finely.
-
-    Returns:
-        poses X_OS, shape (n, 4, 4), and which of them are turns, shape (n,).
     """
-    index = _spread(targets, options.seeds)
-    aims = np.concatenate([targets[index], *(h.center[None] for h in holes[:40])])
-    faces = np.concatenate([normals[index], *(h.normal[None] for h in holes[:40])])
+    options = options or CandidateOptions()
+    stations = _stations(scene, scanner, targets, holes, table_radius, table_z, options)
+    turns = _turns(solid, scanner, table_radius, table_z)
+    seen = np.concatenate(
+        [
+            sees(scene, scanner, stations, targets.points, targets.normals),
+            turns_see(scene, scanner, turns, targets.points, targets.normals, poses=_TURN),
+        ]
+    )
+    kinds = np.concatenate([np.zeros(len(stations), bool), np.ones(len(turns), bool)])
+    return Candidates(np.concatenate([stations, turns]), kinds, seen, reachable)
+
+
+def _stations(
+    scene: Scene,
+    scanner: Scanner,
+    targets: Targets,
+    holes: Sequence[Hole],
+    table_radius: float,
+    table_z: float,
+    options: CandidateOptions,
+) -> np.ndarray:
+    """Poses about seeds spread over the targets, shape (n, 4, 4)."""
+    index = _spread(targets.points, options.seeds)
+    aims = np.concatenate([targets.points[index], *(h.center[None] for h in holes[:40])])
+    faces = np.concatenate([targets.normals[index], *(h.normal[None] for h in holes[:40])])
     cone = hemisphere(int(options.directions / (1 - np.cos(_CONE))))
     cone = np.vstack([[0, 0, 1.0], cone[cone[:, 2] >= np.cos(_CONE)]])
     x, y = tangents(faces)
@@ -82,10 +129,7 @@ def candidates(
     seed, eye = seed[standing], eye[standing]
     start = aims + 0.001 * faces
     free = free_lines(scene, start[seed], eye)
-    stations = _both_eyes(scene, scanner, aims, start, seed[free], eye[free], table_z, options)
-    turns = _turns(solid, scanner, table_radius, table_z)
-    kinds = np.concatenate([np.zeros(len(stations), bool), np.ones(len(turns), bool)])
-    return np.concatenate([stations, turns]), kinds
+    return _both_eyes(scene, scanner, aims, start, seed[free], eye[free], table_z, options)
 
 
 def _both_eyes(

@@ -4,20 +4,24 @@ Whatever a scan has missed lies behind its frontier (Yamauchi 1997, doi 10.1109/
 behind a ledge, the mouth of a groove too narrow for a hole in the cloud, a flank met at too grazing an angle.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from scanmotion.compiled import njit, prange
 from scanmotion.scanner import Scanner
 
-_BAND, _MARGIN = 4, 24
-"""Space is looked at within this many cells of the surface; later scans may add so many about the first."""
-_MOST_CELLS = 60_000_000
-_UNKNOWN, _OCCUPIED, _FREE = 1, 2, 3
+_BAND = 4
+"""Space is looked at within this many cells of the measured surface."""
+_LEAST = 4
+"""Fewer cells together are chance, not a frontier."""
+_HALF = 1 << 20
+"""Cells on either side of the origin along each axis: enough for a kilometre."""
+_FACES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+_AROUND = np.argwhere(np.ones((3, 3, 3))) - 1
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -30,113 +34,149 @@ class Frontier:
     """Unit vectors into the free space, shape (n, 3)."""
     edge: float
     """Of a cell [m]."""
-    passed: Callable[[np.ndarray], np.ndarray] | None = None
-    """Tells which of the places (n, 3) some frame has looked through, shape (n,); None where not known."""
 
 
 class Space:
     """The space about a scanned surface, carved frame by frame."""
 
     def __init__(
-        self,
-        scanner: Scanner,
-        *,
-        extent: np.ndarray,
-        edge: float = 0.002,
-        stride: int = 2,
-        table_z: float = 0.0,
+        self, scanner: Scanner, *, edge: float = 0.002, stride: int = 2, table_z: float = 0.0
     ) -> None:
         """Nothing is known yet.
 
         Args:
             scanner: its field of view maps points to the images' pixels.
-            extent: of the part, shape (3,) [m]; of a large one the cells are larger.
             edge: of a cell [m].
             stride: of the images: every stride-th pixel of the scanner's.
             table_z: height of the table's top in O; below it nothing is sought [m].
         """
-        self._edge = float(max(edge, np.cbrt(np.prod(np.asarray(extent) + 20 * edge) / _MOST_CELLS)))
-        self._scanner, self._table_z = scanner, table_z
+        self._scanner, self._edge, self._table_z = scanner, float(edge), table_z
         # A ray passes up to half a pixel beside a point, which tells in depth where it grazes.
         self._margin = self._edge * max(1.0, stride / 2)
         self._X_SO = np.zeros((0, 4, 4))
         self._images: list[np.ndarray] = []
-        self._known = 0
-        self._low = np.zeros(3, np.int64)
-        self._free: np.ndarray | None = None
-        self._tested: np.ndarray | None = None
+        # Cells that were asked about before: their keys, ascending, and how many frames each was held
+        # against; -1 where one of them had looked through.
+        self._keys = np.zeros(0, np.int64)
+        self._frames = np.zeros(0, np.int64)
 
     def add(self, X_OS: np.ndarray, images: np.ndarray) -> None:
         """Remembers frames: poses (n, 4, 4) and depth images (n, h, w) [m], NaN where nothing was seen."""
         self._X_SO = np.concatenate([self._X_SO, np.linalg.inv(np.asarray(X_OS, float))])
         self._images.append(np.asarray(images, np.float32))
 
-    def frontier(self, points: np.ndarray) -> Frontier:
-        """Where the frames left space open beside the surface that `points` (n, 3) show."""
-        cells = np.floor(points / self._edge).astype(np.int64)
-        if self._free is None:
-            self._low = cells.min(axis=0) - _MARGIN
-            shape = tuple(int(n) for n in cells.max(axis=0) + _MARGIN + 1 - self._low)
-            self._free, self._tested = np.zeros(shape, bool), np.zeros(shape, bool)
-        assert self._tested is not None
-        cells = cells - self._low
-        inside = ((cells > _BAND) & (cells < np.array(self._free.shape) - _BAND - 1)).all(axis=1)
-        occupied = np.zeros(self._free.shape, bool)
-        occupied[tuple(cells[inside].T)] = True
-        band = ndimage.binary_dilation(occupied, iterations=_BAND) & ~occupied
-        ground = int(np.ceil(self._table_z / self._edge)) - int(self._low[2])
-        band[:, :, : max(ground, 0)] = False
-        images = np.concatenate(self._images)
-        self._images = [images]
-        for at, first in (
-            (np.argwhere(band & ~self._tested), 0),
-            (np.argwhere(band & self._tested & ~self._free), self._known),
-        ):
-            self._free[tuple(at.T)] = self._looked_past(at, images, first)
-        self._tested |= band
-        self._known = len(images)
-        state = np.zeros(band.shape, np.uint8)
-        state[band] = np.where(self._free[band], _FREE, _UNKNOWN)
-        state[occupied] = _OCCUPIED
-        return replace(_frontier_of(state, self._low, self._edge), passed=self.passed)
+    def frontier(self, points: np.ndarray, *, near: np.ndarray | None = None, reach: float = 0.0) -> Frontier:
+        """Where the frames left space open beside the surface that `points` (n, 3) show.
+
+        Args:
+            points: the measured surface [m].
+            near: only cells about these places are wanted, shape (k, 3) [m]; None for all along the surface.
+            reach: how far from them [m].
+        """
+        occupied = np.unique(_keys(np.floor(points / self._edge).astype(np.int64)))
+        wanted = self._wanted(points, near, reach)
+        # A ring more, to see what stands beside the wanted.
+        around = np.unique((wanted[:, None] + _offsets(_AROUND)).ravel())
+        around = around[~_among(around, occupied)]
+        around = around[_cells(around)[:, 2] * self._edge >= self._table_z - 1e-9]
+        free = around[self._looked_through(around)]
+        beside_surface = np.unique((occupied[:, None] + _offsets(_FACES)).ravel())
+        unknown = np.setdiff1d(around, free, assume_unique=True)
+        unknown = unknown[_among(unknown, wanted) & ~_among(unknown, beside_surface)]
+        open_ = unknown[_among(unknown[:, None] + _offsets(_FACES), free).any(axis=1)]
+        at = _cells(_gathered(open_))
+        inward = _among(_keys(at)[:, None] + _offsets(_AROUND), free).astype(float) @ _AROUND
+        length = np.linalg.norm(inward, axis=1)
+        keep = length > 1e-9
+        return Frontier(
+            points=(at[keep] + 0.5) * self._edge, normals=inward[keep] / length[keep, None], edge=self._edge
+        )
 
     def passed(self, places: np.ndarray) -> np.ndarray:
         """Which of the places (n, 3) [m] some frame has looked through, shape (n,)."""
-        self._images = [np.concatenate(self._images)] if self._images else []
-        if not self._images:
-            return np.zeros(len(places), bool)
-        return self._seen_through(np.asarray(places, dtype=float), self._images[0], 0)
+        return self._seen_through(np.asarray(places, dtype=float), 0)
 
-    def _looked_past(self, at: np.ndarray, images: np.ndarray, first: int) -> np.ndarray:
-        """Which cells a frame from `first` on has looked past, shape (n,)."""
-        return self._seen_through((at + self._low + 0.5) * self._edge, images, first)
+    def _wanted(self, points: np.ndarray, near: np.ndarray | None, reach: float) -> np.ndarray:
+        """Keys of the cells in the band along the surface, and about `near` where that is given."""
+        span = _BAND if near is None else int(np.ceil(reach / self._edge))
+        ball = np.argwhere(np.ones((2 * span + 1,) * 3)) - span
+        ball = ball[np.linalg.norm(ball, axis=1) <= span + 0.5]
+        centres = np.floor((points if near is None else near) / self._edge).astype(np.int64)
+        keys = [np.zeros(0, np.int64)]
+        centre = np.unique(_keys(centres))
+        for first in range(0, len(centre), 20_000):
+            keys.append(np.unique(centre[first : first + 20_000, None] + _offsets(ball)))
+        wanted = np.unique(np.concatenate(keys))
+        places = (_cells(wanted) + 0.5) * self._edge
+        far = (_BAND + 0.5) * self._edge
+        return wanted[cKDTree(points).query(places, distance_upper_bound=far, workers=-1)[0] < np.inf]
 
-    def _seen_through(self, places: np.ndarray, images: np.ndarray, first: int) -> np.ndarray:
-        if len(images) == first or len(places) == 0:
+    def _looked_through(self, keys: np.ndarray) -> np.ndarray:
+        """Which cells, ascending keys (n,), some frame has looked through; each frame is asked once."""
+        count = len(self._X_SO)
+        at = np.searchsorted(self._keys, keys)
+        known = at < len(self._keys)
+        known[known] = self._keys[at[known]] == keys[known]
+        frames = np.zeros(len(keys), np.int64)
+        frames[known] = self._frames[at[known]]
+        for first in np.unique(frames[(frames >= 0) & (frames < count)]):
+            todo = np.flatnonzero(frames == first)
+            through = self._seen_through((_cells(keys[todo]) + 0.5) * self._edge, int(first))
+            frames[todo] = np.where(through, -1, count)
+        others = ~_among(self._keys, keys)
+        merged = np.concatenate([self._keys[others], keys])
+        order = np.argsort(merged, kind="stable")
+        self._keys, self._frames = merged[order], np.concatenate([self._frames[others], frames])[order]
+        return frames < 0
+
+    def _seen_through(self, places: np.ndarray, first: int) -> np.ndarray:
+        """Which places a frame from `first` on has looked through, shape (n,)."""
+        if len(self._images) > 1:
+            self._images = [np.concatenate(self._images)]
+        if len(self._X_SO) == first or len(places) == 0:
             return np.zeros(len(places), bool)
         return _carved(
-            places, self._X_SO[first:], images[first:],
+            places, self._X_SO[first:], self._images[0][first:],
             np.tan(self._scanner.fov[0] / 2), np.tan(self._scanner.fov[1] / 2), self._margin,
         )  # fmt: skip
 
 
-def _frontier_of(state: np.ndarray, low: np.ndarray, edge: float) -> Frontier:
-    near = np.asarray(ndimage.binary_dilation(state == _OCCUPIED), dtype=bool)
-    free = state == _FREE
-    open_ = (state == _UNKNOWN) & ~near & ndimage.binary_dilation(free)
-    labels: Any = ndimage.label(open_, structure=np.ones((3, 3, 3)))
-    label, count = labels
-    size = np.bincount(label.ravel(), minlength=count + 1)
-    at = np.argwhere(open_ & (size[label] >= 4))
-    inner = np.clip(at, 1, np.array(state.shape) - 2)
-    normals = np.zeros((len(at), 3))
-    for d in np.argwhere(np.ones((3, 3, 3))) - 1:
-        normals += free[tuple((inner + d).T)][:, None] * d
-    length = np.linalg.norm(normals, axis=1)
-    keep = length > 1e-9
-    return Frontier(
-        points=(at[keep] + low + 0.5) * edge, normals=normals[keep] / length[keep, None], edge=edge
-    )
+def _keys(cells: np.ndarray) -> np.ndarray:
+    """One number for each cell (..., 3); a step of one cell is a step of the same size everywhere."""
+    cells = cells + _HALF
+    return (cells[..., 0] << 42) | (cells[..., 1] << 21) | cells[..., 2]
+
+
+def _cells(keys: np.ndarray) -> np.ndarray:
+    """The cells (n, 3) of keys (n,)."""
+    mask = (1 << 21) - 1
+    return np.stack([keys >> 42, (keys >> 21) & mask, keys & mask], axis=-1) - _HALF
+
+
+def _offsets(steps: np.ndarray) -> np.ndarray:
+    """What steps (n, 3) between cells add to their keys."""
+    return steps @ np.array([1 << 42, 1 << 21, 1])
+
+
+def _among(keys: np.ndarray, ascending: np.ndarray) -> np.ndarray:
+    """Which keys stand in the ascending ones."""
+    if len(ascending) == 0:
+        return np.zeros(keys.shape, bool)
+    at = np.minimum(np.searchsorted(ascending, keys), len(ascending) - 1)
+    return ascending[at] == keys
+
+
+def _gathered(keys: np.ndarray) -> np.ndarray:
+    """The ascending keys whose cells hang together, edge or corner, with enough others."""
+    n = len(keys)
+    if n == 0:
+        return keys
+    beside = keys[:, None] + _offsets(_AROUND[:13])
+    i, k = np.nonzero(_among(beside, keys))
+    j = np.searchsorted(keys, beside[i, k])
+    graph = coo_array((np.ones(len(i)), (i, j)), shape=(n, n))
+    label = connected_components(graph, directed=False)[1]
+    return keys[np.bincount(label)[label] >= _LEAST]
 
 
 @njit(cache=True, parallel=True)
