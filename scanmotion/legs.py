@@ -1,6 +1,6 @@
 """One leg of the trip: viewpoints in, a timed trajectory out, and a reason for each viewpoint left behind."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from scanmotion.cell.robot import clean_angle
 from scanmotion.errors import PathError
 from scanmotion.motion.candidates import candidates
 from scanmotion.motion.reach import Reach, ReachOptions, reach
+from scanmotion.motion.seconds import move_matrix, move_model
 from scanmotion.motion.sequence import sequence
 from scanmotion.motion.timing import time_plan
 from scanmotion.motion.tour import Path, Tour
@@ -58,6 +59,7 @@ def leg_from(
     mode: str = "default",
     table: str = "axis",
     longest_way: float = LONGEST_WAY_S,
+    worth: Mapping[str, float] | None = None,
     rng: np.random.Generator,
     progress: Progress = silent,
 ) -> Leg:
@@ -75,6 +77,8 @@ def leg_from(
         table: "fallback" keeps the table still for every station that the arm reaches without it; so does
             mode "paper".
         longest_way: a local viewpoint whose transit takes longer is left out [s].
+        worth: by id, what a viewpoint may cost at most: its stop, and the way there and on less the way past
+            it [s]. Those that cost more are left out.
         rng: source of the search's random numbers.
         progress: told the stage and the share done.
     """
@@ -100,10 +104,10 @@ def leg_from(
             break
         trajectory = time_plan(cell, tour, paths, progress=lambda f: progress("timing", f))
         local = {r.viewpoint.id for r in todo if r.viewpoint.step == "local"}
-        detours = _detours(trajectory, local, longest_way)
-        if not detours:
+        dear = _detours(trajectory, local, longest_way) or _dear(cell, tour, trajectory, worth or {})
+        if not dear:
             break
-        reasons.update(detours)
+        reasons.update(dear)
     order = [r.viewpoint.id for r in reaches]
     unreachable = tuple((v, reasons[v]) for v in order if v in reasons)
     return Leg(
@@ -122,6 +126,26 @@ def _detours(trajectory: Trajectory, local: set[str], longest: float) -> dict[st
     if seconds <= longest:
         return {}
     return {v: f"not worth its seconds: the way there takes {seconds:.1f} s" for v in viewpoints}
+
+
+def _dear(cell: Cell, tour: Tour, trajectory: Trajectory, worth: Mapping[str, float]) -> dict[str, str]:
+    """Viewpoints that cost more seconds than they are worth, no two of them in a row: one gone, the other's
+    way is another.
+    """
+    model, after = move_model(cell), [o for o in trajectory.operations if o.kind != "transit"]
+    dear: dict[str, str] = {}
+    last = -2
+    for n, stop in enumerate(tour.stops):
+        before = tour.stops[n - 1].q_out if n else tour.start_q
+        start = after[n - 1].t_end if n else 0.0
+        cost = after[n].t_end - start
+        if n + 1 < len(tour.stops):
+            way = move_matrix(model, np.array([before]), np.array([tour.stops[n + 1].q_in]))[0, 0]
+            cost = after[n + 1].t_start - start - float(way)
+        if cost > sum(worth.get(v, np.inf) for v in stop.viewpoints) and n > last + 1:
+            last = n
+            dear.update({v: f"not worth its seconds: it would cost {cost:.1f} s" for v in stop.viewpoints})
+    return dear
 
 
 def renamed(viewpoints: Sequence[Viewpoint], prefix: str) -> tuple[Viewpoint, ...]:

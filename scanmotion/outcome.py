@@ -87,6 +87,8 @@ class Plan:
     samples: SurfaceSamples | None
     visible: np.ndarray | None
     """Which samples any allowed scanner pose can see, shape (n,)."""
+    out_of_reach: np.ndarray | None = None
+    """Which of those stay unscanned because no pose that sees them was found that the robot reaches, (n,)."""
     dropped: tuple[tuple[str, str], ...] = ()
     """Viewpoints of the method that were not planned: (id, reason)."""
     unscanned: tuple = ()
@@ -123,6 +125,15 @@ class Plan:
             "final": float(self.seen.sum()) / can,
             "final_of_whole": float(self.seen.mean()),
         }
+
+    def within_reach(self) -> dict[str, float | None]:
+        """Of what can be seen, the share that this robot's scanner can be brought to see; of that, the share
+        that the plan scans.
+        """
+        if self.visible is None or self.seen is None or self.out_of_reach is None:
+            return {"share": None, "scanned": None}
+        can, reached = int(self.visible.sum()), int((self.visible & ~self.out_of_reach).sum())
+        return {"share": reached / max(can, 1), "scanned": float(self.seen.sum()) / max(reached, 1)}
 
     def accuracy(self) -> Accuracy | None:
         """Distance of the fused cloud from the true surface; None where no truth is known."""
@@ -189,7 +200,8 @@ class Plan:
                 "local": sum(v.step == "local" for v in served),
                 "unreachable": [{"id": name, "reason": reason} for name, reason in self.unreachable],
             },
-            "completeness": {k: None if v is None else round(v, 6) for k, v in self.completeness().items()},
+            "completeness": _rounded(self.completeness()),
+            "within_reach": _rounded(self.within_reach()),
             "rounds": [
                 {
                     "step": item.step,
@@ -245,6 +257,10 @@ class Plan:
             files |= scan_files(self.cloud, self.surface, self.part, self.scans)
         atomic_folder(folder, {**files, **(extras or {})})
         return list(self.findings)
+
+
+def _rounded(shares: dict[str, float | None]) -> dict[str, float | None]:
+    return {k: None if v is None else round(v, 6) for k, v in shares.items()}
 
 
 def plan_files(plan: Plan) -> dict[str, bytes | str]:

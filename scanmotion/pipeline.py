@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scanmotion.cell.clearance import Clearance
 from scanmotion.cell.config import CellSettings
@@ -16,23 +15,23 @@ from scanmotion.motion.reach import reachable_mask
 from scanmotion.outcome import Plan, Round, Stopwatch
 from scanmotion.part import Part, SurfaceSamples, check_fits, surface_samples
 from scanmotion.scan.fuse import Cloud, fuse
+from scanmotion.scan.given import cloud_from_part
 from scanmotion.scan.images import depth_images
 from scanmotion.scan.mend import Mender
 from scanmotion.scan.merge import merged
 from scanmotion.scan.simulate import Scan, ScanErrors, captures_from_trajectory, simulate
 from scanmotion.scanner import Scanner
+from scanmotion.search import THOROUGH_RATE, Search, Surroundings
 from scanmotion.trajectory import Trajectory, joined
-from scanmotion.viewpoints.boundary import oriented_normals
 from scanmotion.viewpoints.cad_slicing import cad_slicing
 from scanmotion.viewpoints.coverage import Scene, scene_from, visible
-from scanmotion.viewpoints.frontier import Space
 from scanmotion.viewpoints.holes import HoleReport, holes_from_cloud
 from scanmotion.viewpoints.local import local_viewpoints
-from scanmotion.viewpoints.model import ClosedModel, closed_model
-from scanmotion.viewpoints.select import SelectOptions, local_step
+from scanmotion.viewpoints.model import closed_model
 from scanmotion.viewpoints.stepped_rotary import stepped_rotary
 from scanmotion.viewpoints.surface_partitioning import surface_partitioning
-from scanmotion.viewpoints.targets import TargetOptions
+from scanmotion.viewpoints.targets import Targets
+from scanmotion.viewpoints.unscanned import CANNOT_BE_REACHED, open_surface, patches
 from scanmotion.viewpoints.viewpoint import Viewpoint
 
 __all__ = ["PlanOptions", "plan"]
@@ -40,14 +39,6 @@ __all__ = ["PlanOptions", "plan"]
 Source = Literal["mesh", "box", "scan"]
 Mode = Literal["default", "paper"]
 Strategy = Literal["two-step", "cad-slicing", "surface-partitioning"]
-
-
-_THOROUGH_RATE = 2.5e-6
-"""Least share of the surface per second that a viewpoint of a thorough plan adds [1/s]."""
-
-
-_LEAST_KEPT = 0.05
-"""A round that kept less of its promises is taken for one that kept so much."""
 
 
 _SIDE_TRIP_S = 10.0
@@ -156,10 +147,7 @@ class Trip:
         self.holes: HoleReport | None = None
         self.dropped: list[tuple[str, str]] = []
         self.unscanned: tuple = ()
-        self.space = Space(self.scanner, edge=options.voxel, stride=options.stride, table_z=self.table_z)
-        self.shunned: list[np.ndarray] = []
-        self.claimed: list[np.ndarray] = []
-        self.model: ClosedModel | None = None
+        self.search = Search(self.scanner, self._surroundings(), voxel=options.voxel, stride=options.stride)
         self.scene: Scene | None = None
         self.samples: SurfaceSamples | None = None
         self.seen = np.zeros(0, bool)
@@ -177,16 +165,19 @@ class Trip:
         """What the arm must not touch: the mesh, the box, or the closed model of a measured cloud."""
         if self.part.is_mesh:
             return self.part
-        cloud = _cloud_of(self.part)
+        cloud = cloud_from_part(self.part)
         model = closed_model(cloud.points, cloud.normals, spacing=self.options.voxel)
         return Part(name=self.part.name, vertices=model.vertices, triangles=model.triangles)
 
-    def _scene(self, part: Part) -> Scene:
-        table = self.settings.turntable
-        return scene_from(
-            part.vertices, part.triangles, table_radius=table.diameter_m / 2, table_z=self.table_z,
+    def _surroundings(self) -> Surroundings:
+        return Surroundings(
+            table_radius=self.settings.turntable.diameter_m / 2,
+            table_z=self.table_z,
             pedestal_radius=self.settings.pedestal.diameter_m / 2,
-        )  # fmt: skip
+        )
+
+    def _scene(self, part: Part) -> Scene:
+        return scene_from(part.vertices, part.triangles, **vars(self._surroundings()))
 
     @property
     def table_z(self) -> float:
@@ -200,7 +191,7 @@ class Trip:
 
     def take_scan(self) -> None:
         """A measured global scan stands in for the global step."""
-        self.cloud = _cloud_of(self.part)
+        self.cloud = cloud_from_part(self.part)
 
     def global_step(self) -> None:
         """Stepped rotary scanning of the bounding box."""
@@ -233,53 +224,37 @@ class Trip:
                     )
             with self.watch("viewpoints"):
                 self.progress("viewpoints", 0.0)
-                views = self._local_views(self.holes, number)
+                views, worth = self._local_views(self.holes, number)
             if not views:
                 return
-            self.run(renamed(views, f"R{number}" if number > 1 else ""), "local", self._rng(10 + number))
+            prefix = f"R{number}" if number > 1 else ""
+            worth = {prefix + name: seconds for name, seconds in worth.items()}
+            self.run(renamed(views, prefix), "local", self._rng(10 + number), worth)
             literal = self.options.mode == "paper" or not self.options.occlusion_aware
             if literal or self.options.source == "scan" or self._complete():
                 return
 
-    def _local_views(self, holes: HoleReport, number: int) -> tuple[Viewpoint, ...]:
+    def _local_views(self, holes: HoleReport, number: int) -> tuple[tuple[Viewpoint, ...], dict[str, float]]:
+        """Viewpoints of a local round, and what each may cost [s]."""
         standoff = self.settings.process.standoff_m
         if self.options.mode == "paper" or not self.options.occlusion_aware:
-            return local_viewpoints(
+            views = local_viewpoints(
                 holes.holes, self.scanner, standoff=standoff, mode=self.options.mode, table_z=self.table_z
             )
+            return views, {}
         assert self.cloud is not None
+        measured = self.options.source == "scan"
         # The holes of a measured scan are what was asked for: none is left for its seconds.
-        thorough = self.options.thorough or self.options.source == "scan"
-        rate = _THOROUGH_RATE if thorough else SelectOptions().least_rate
-        step = local_step(
-            self.cloud.points, self.cloud.normals, holes.holes, self.scanner,
-            spacing=self.options.voxel,
-            space=self.space if self.scans else None,
+        step, worth = self.search.step(
+            self.cloud, holes.holes,
+            rate=THOROUGH_RATE if self.options.thorough or measured else None,
             seconds=self._seconds_left(),
-            claimed=np.concatenate(self.claimed) if self.claimed else None,
-            model=self.model,
-            options=SelectOptions(least_rate=rate / self._kept()),
-            table_radius=self.settings.turntable.diameter_m / 2,
-            table_z=self.table_z,
-            pedestal_radius=self.settings.pedestal.diameter_m / 2,
-            explain=self.options.source == "scan",
             reachable=self._reachable if self.options.reach_feedback else None,
+            explain=measured,
             rng=self._rng(20 + number),
         )  # fmt: skip
         self.unscanned = step.unseen
-        self.claimed.append(step.claimed)
-        self.model = step.model
-        return step.viewpoints
-
-    def _kept(self) -> float:
-        """Share of what the last round's viewpoints should have seen that has been measured since: how far a
-        further round can be trusted to find anything.
-        """
-        if not self.claimed or len(self.claimed[-1]) == 0:
-            return 1.0
-        assert self.cloud is not None
-        gap = TargetOptions().gap * self.options.voxel
-        return max(float((cKDTree(self.cloud.points).query(self.claimed[-1])[0] <= gap).mean()), _LEAST_KEPT)
+        return step.viewpoints, worth
 
     def _seconds_left(self) -> float:
         """Of the budget, for the next round, with some in hand because its order is not known yet [s]."""
@@ -287,27 +262,37 @@ class Trip:
         return 0.9 * max(self.settings.process.budget_s - spent, 0.0)
 
     def _reachable(self, X_OS: np.ndarray) -> np.ndarray:
-        """What the robot reaches, without the neighbourhood of what it has tried."""
+        """What the robot reaches without going far from its way."""
         stops = [stop.q_in for item in self.rounds[:1] for stop in item.leg.tour.stops]
-        mask = reachable_mask(
+        return reachable_mask(
             self.cell, X_OS, clearance=self.clearance,
             near_q=np.array([self.cell.home, *stops]), within_s=_SIDE_TRIP_S,
         )  # fmt: skip
-        for X in self.shunned:
-            near = np.linalg.norm(X_OS[:, :3, 3] - X[:3, 3], axis=1) < 0.06
-            mask &= ~(near & (X_OS[:, :3, 2] @ X[:3, 2] > np.cos(np.deg2rad(12.0))))
-        return mask
 
-    def run(self, views: tuple[Viewpoint, ...], step: str, rng: np.random.Generator) -> None:
-        """Plans a leg over `views`, appends it, and lets the twin scan along it."""
+    def run(
+        self,
+        views: tuple[Viewpoint, ...],
+        step: str,
+        rng: np.random.Generator,
+        worth: dict[str, float] | None = None,
+    ) -> None:
+        """Plans a leg over `views`, appends it, and lets the twin scan along it.
+
+        Args:
+            views: what is to be visited.
+            step: "global" or "local".
+            rng: source of the leg's random numbers.
+            worth: by id, what a viewpoint may cost at most [s].
+        """
         with self.watch("motion"):
             leg: Leg = leg_from(
                 self.cell, self.clearance, views, self.at,
-                mode=self.options.mode, table=self.options.turntable, rng=rng, progress=self.progress,
+                mode=self.options.mode, table=self.options.turntable, worth=worth, rng=rng,
+                progress=self.progress,
             )  # fmt: skip
         self.take(leg, step, rng)
         given_up = {v for v, _ in leg.unreachable}
-        self.shunned += [v.X_OS for v in views if v.id in given_up or v.kind == "station"]
+        self.search.tried([v.X_OS for v in views if v.id in given_up or v.kind == "station"])
 
     def take(self, leg: Leg, step: str, rng: np.random.Generator) -> None:
         """Appends a leg that begins where the programme stands, and lets the twin scan along it."""
@@ -336,7 +321,7 @@ class Trip:
         self.scans.append(scan)
         self.seen = self.seen | scan.seen
         images = depth_images(scan, self.scanner, stride=self.options.stride)
-        self.space.add(scan.captures.X_OS, images)
+        self.search.look(scan.captures.X_OS, images)
         if len(scan):
             new = fuse([scan], voxel=self.options.voxel)
             self.cloud = new if self.cloud is None else merged(self.cloud, new, voxel=self.options.voxel)
@@ -354,10 +339,32 @@ class Trip:
                 )
         return float(self.seen.sum() / max((self.can_see | self.seen).sum(), 1))
 
+    def _explain(self) -> np.ndarray:
+        """Finds out what stays unscanned and why; which samples can be seen, but not by this robot, (n,)."""
+        assert self.scene is not None and self.samples is not None and self.can_see is not None
+        s = self.samples
+        left = np.flatnonzero(~self.seen)
+        open_ = Targets(points=s.points[left], normals=s.normals[left], areas=np.full(len(left), s.area))
+        with self.watch("unscanned"):
+            self.progress("unscanned", 0.0)
+            why = open_surface(
+                self.scene, self.scanner, open_, self.can_see[left],
+                solid=self.part.vertices,
+                reachable=lambda X: reachable_mask(self.cell, X, clearance=self.clearance),
+                table_radius=self.settings.turntable.diameter_m / 2,
+                table_z=self.table_z,
+            )  # fmt: skip
+            self.unscanned = patches(open_, why)
+        out_of_reach = np.zeros(len(self.seen), bool)
+        out_of_reach[left] = why == CANNOT_BE_REACHED
+        return out_of_reach
+
     def plan(self) -> Plan:
         """All that was found, in one value."""
+        out_of_reach = None
         if self.options.source == "mesh":
             self.completeness()
+            out_of_reach = self._explain()
             if len(self.scans) > 1:
                 with self.watch("twin"):
                     self.cloud = fuse(self.scans, voxel=self.options.voxel)
@@ -365,29 +372,8 @@ class Trip:
             part=self.part, cell=self.cell, options=self.options, rounds=tuple(self.rounds),
             trajectory=self.trajectory, cloud=self.cloud, holes=self.holes, samples=self.samples,
             visible=None if self.can_see is None else self.can_see | self.seen,
+            out_of_reach=out_of_reach,
             dropped=tuple(self.dropped), unscanned=self.unscanned, planning_s=self.watch.seconds(),
             scans=tuple(self.scans) if self.options.keep_scans else (),
             mending=None if self.mender is None else self.mender.mending,
         )  # fmt: skip
-
-
-def _cloud_of(part: Part) -> Cloud:
-    """A measured scan as a cloud with normals; a mesh is resampled uniformly, never taken by its vertices."""
-    if part.is_mesh:
-        area = np.linalg.norm(
-            np.cross(
-                part.vertices[part.triangles[:, 1]] - part.vertices[part.triangles[:, 0]],
-                part.vertices[part.triangles[:, 2]] - part.vertices[part.triangles[:, 0]],
-            ),
-            axis=1,
-        ).sum()
-        n = int(np.clip(area / 2 / 2e-6, 5_000, 400_000))
-        samples = surface_samples(part, n, rng=np.random.default_rng(0))
-        points, normals = samples.points, samples.normals
-    else:
-        points = part.vertices
-        normals = part.normals if part.normals is not None else oriented_normals(points)
-    return Cloud(
-        points=np.asarray(points, float), normals=np.asarray(normals, float),
-        view_directions=np.asarray(normals, float), counts=np.ones(len(points), np.int64),
-    )  # fmt: skip

@@ -76,7 +76,8 @@ def replan(
     if not trip.rounds:
         raise InputError(f"{folder}: no viewpoint is left to plan")
     _leave_out(trip, [v for v in old.viewpoints if v.id in given_up], given_up)
-    return replace(trip.plan(), holes=old.holes, unscanned=old.unscanned)
+    made = replace(trip.plan(), holes=old.holes)
+    return made if trip.options.source == "mesh" else replace(made, unscanned=old.unscanned)
 
 
 def last_operation(operations: Sequence[Operation], done: str) -> int:

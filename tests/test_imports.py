@@ -21,7 +21,9 @@ MAY_IMPORT = {
     "judge": NOUNS | {"judge", "planfile"},
     "verify": NOUNS | {"judge", "planfile"},
     "export": NOUNS | {"export", "planfile", "viewpoints"},
-    "pipeline": NOUNS | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "outcome"},
+    "search": NOUNS | {"viewpoints", "scan"},
+    "pipeline": NOUNS
+    | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "outcome", "search"},
     "loaded": NOUNS | {"viewpoints", "cell", "planfile"},
     "replan": NOUNS
     | {"cell", "scan", "motion", "planfile", "legs", "outcome", "pipeline", "loaded"}

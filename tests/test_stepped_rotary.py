@@ -98,7 +98,7 @@ def test_taller_parts_get_more_rows(height):
 
 
 def test_wide_parts_get_turns_of_what_the_four_miss():
-    box = (0.85, 0.85, 0.4)
+    box = (0.85, 0.85, 0.5)
     views = stepped_rotary(*box, SCANNER).viewpoints
     assert len(views) > 4
     four, all_ = seen_share(box, views[:4]), seen_share(box, views)

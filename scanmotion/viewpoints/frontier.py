@@ -73,14 +73,14 @@ class Space:
             near: only cells about these places are wanted, shape (k, 3) [m]; None for all along the surface.
             reach: how far from them [m].
         """
-        occupied = np.unique(_keys(np.floor(points / self._edge).astype(np.int64)))
+        occupied = _distinct(_keys(np.floor(points / self._edge).astype(np.int64)))
         wanted = self._wanted(points, near, reach)
         # A ring more, to see what stands beside the wanted.
-        around = np.unique((wanted[:, None] + _offsets(_AROUND)).ravel())
+        around = _distinct(wanted[:, None] + _offsets(_AROUND))
         around = around[~_among(around, occupied)]
         around = around[_cells(around)[:, 2] * self._edge >= self._table_z - 1e-9]
         free = around[self._looked_through(around)]
-        beside_surface = np.unique((occupied[:, None] + _offsets(_FACES)).ravel())
+        beside_surface = _distinct(occupied[:, None] + _offsets(_FACES))
         unknown = np.setdiff1d(around, free, assume_unique=True)
         unknown = unknown[_among(unknown, wanted) & ~_among(unknown, beside_surface)]
         open_ = unknown[_among(unknown[:, None] + _offsets(_FACES), free).any(axis=1)]
@@ -101,15 +101,19 @@ class Space:
         span = _BAND if near is None else int(np.ceil(reach / self._edge))
         ball = np.argwhere(np.ones((2 * span + 1,) * 3)) - span
         ball = ball[np.linalg.norm(ball, axis=1) <= span + 0.5]
-        centres = np.floor((points if near is None else near) / self._edge).astype(np.int64)
-        keys = [np.zeros(0, np.int64)]
-        centre = np.unique(_keys(centres))
+        tree = cKDTree(points)
+        centre = _distinct(_keys(np.floor((points if near is None else near) / self._edge).astype(np.int64)))
+        centre = centre[self._within(centre, tree, _BAND + span + 2)]
+        chunks = [np.zeros(0, np.int64)]
         for first in range(0, len(centre), 20_000):
-            keys.append(np.unique(centre[first : first + 20_000, None] + _offsets(ball)))
-        wanted = np.unique(np.concatenate(keys))
-        places = (_cells(wanted) + 0.5) * self._edge
-        far = (_BAND + 0.5) * self._edge
-        return wanted[cKDTree(points).query(places, distance_upper_bound=far, workers=-1)[0] < np.inf]
+            chunks.append(_distinct(centre[first : first + 20_000, None] + _offsets(ball)))
+        wanted = _distinct(np.concatenate(chunks))
+        return wanted[self._within(wanted, tree, _BAND + 0.5)]
+
+    def _within(self, keys: np.ndarray, tree: cKDTree, cells: float) -> np.ndarray:
+        """Which cells lie within so many cells of the tree's points, shape (n,)."""
+        places = (_cells(keys) + 0.5) * self._edge
+        return tree.query(places, distance_upper_bound=cells * self._edge, workers=-1)[0] < np.inf
 
     def _looked_through(self, keys: np.ndarray) -> np.ndarray:
         """Which cells, ascending keys (n,), some frame has looked through; each frame is asked once."""
@@ -156,6 +160,12 @@ def _cells(keys: np.ndarray) -> np.ndarray:
 def _offsets(steps: np.ndarray) -> np.ndarray:
     """What steps (n, 3) between cells add to their keys."""
     return steps @ np.array([1 << 42, 1 << 21, 1])
+
+
+def _distinct(keys: np.ndarray) -> np.ndarray:
+    """Each key once, ascending."""
+    keys = np.sort(keys, axis=None)
+    return keys[np.diff(keys, prepend=-1) != 0]
 
 
 def _among(keys: np.ndarray, ascending: np.ndarray) -> np.ndarray:

@@ -14,8 +14,8 @@ from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
 
 UPRIGHT = -np.pi / 2
 """Roll that stands the long side l upright, with the projector above the camera, clear of the table."""
-_LOW, _ABOVE, _STEEP = np.deg2rad([-20.0, 30.0, 45.0])
-_YAW = np.deg2rad(15.0)
+_LOW, _ABOVE, _STEEP = np.deg2rad([-20.0, 30.0, 40.0])
+_YAW, _WIDE_YAW = np.deg2rad([15.0, 25.0])
 _FAR = 0.95
 """The far turns stand at this share of the range from the axis."""
 _GAP = 0.03
@@ -55,11 +55,11 @@ def stepped_rotary(
     """Viewpoints that see a box of L x W x H [m] on the table's axis while the table turns.
 
     Mode "paper" is section 2 literally: VP0 from 30 deg above the top, k = ceil(H / l) steps down, VPn
-    from 30 deg below. The default keeps the idea and chooses inclination, distance and lateral offset by the
-    coverage that they predict: four turns, found by exchange over 540 turns on nine sculptures and reliefs
-    (docs/method.md), two of which look up from beside the table and three past the axis; taller parts get
-    more rows. Where these leave part of the box's own sides and top unseen, as on wide boxes, more turns are
-    added by what they see of it.
+    from 30 deg below. The default keeps the idea and chooses inclination, distance and lateral offset by what
+    they see and by the scanner's way between them: four turns, found by exchange over 810 turns on eight
+    sculptures and reliefs and six generated figures; two of them look up from beside the table, three past
+    the axis, and taller parts get more rows. Where these leave part of the box's own sides and top unseen, as
+    on wide boxes, more turns are added by what they see of it.
 
     Args:
         length: L along x [m].
@@ -116,21 +116,25 @@ def _default(length: float, width: float, height: float, scanner: Scanner, pedes
     radius = float(np.hypot(length, width)) / 2
     near, far = scanner.range
     rows = max(1, int(np.ceil(height / _ROW - 1e-9)))
-    close = near + radius * np.cos(_STEEP) + _GAP
-    turns = [(_STEEP, _YAW, height * (1 - 0.2 / rows), close, "from steeply above, past the axis")]
+
+    def distance(tilt: float, share: float) -> float:
+        """From the nearest that keeps the box in range (0) to far off (1)."""
+        close = near + radius * float(np.cos(tilt)) + _GAP
+        return close + share * max(_FAR * far - close, 0.0)
+
+    turns = [(_STEEP, _YAW, height * (1 - 0.2 / rows), 0.5, "from steeply above, past the axis")]
     for k in reversed(range(rows)):
-        d = max(_FAR * far, near + radius * np.cos(_ABOVE) + _GAP)
-        turns.append((_ABOVE, 0.0, height * (k + 0.2) / rows, d, "from above"))
-    for k in reversed(range(2 * rows)):
-        d = max(_FAR * far, near + radius + _GAP)
-        aim = height * (k // 2 + (0.8 if k % 2 else 0.2)) / rows
-        turns.append((_LOW, -_YAW if k % 2 else _YAW, aim, d, "from below, past the axis"))
+        turns.append((_ABOVE, -_YAW, height * (k + 0.2) / rows, 0.5, "from above, past the axis"))
+    for k in reversed(range(rows)):
+        turns.append((_LOW, 0.0, height * (k + 0.8) / rows, 1.0, "from below"))
+        turns.append((_LOW, _WIDE_YAW, height * (k + 0.2) / rows, 1.0, "from below, past the axis"))
     views = []
-    for n, (tilt, yaw, aim, distance, note) in enumerate(turns):
-        X_OS = oblique_turn(tilt, yaw, aim, distance, radius=radius, floor=_LEAST_HEIGHT - pedestal)
+    for n, (tilt, yaw, aim, share, note) in enumerate(turns):
+        d = distance(tilt, share)
+        X_OS = oblique_turn(tilt, yaw, aim, d, radius=radius, floor=_LEAST_HEIGHT - pedestal)
         views.append(
             Viewpoint(
-                id=f"G{n}", X_OS=X_OS, standoff=max(distance - radius, near), step="global",
+                id=f"G{n}", X_OS=X_OS, standoff=max(d - radius, near), step="global",
                 kind="revolution", slack=Slack(roll=False), note=note,
             )
         )  # fmt: skip

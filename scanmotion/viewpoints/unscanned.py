@@ -3,14 +3,20 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
-from scanmotion.viewpoints.candidates import ASKED, Candidates
+from scanmotion.scanner import Scanner
+from scanmotion.viewpoints.candidates import ASKED, CandidateOptions, Candidates, Reachable, candidates
+from scanmotion.viewpoints.coverage import Scene
 from scanmotion.viewpoints.targets import Targets
 
 REASONS = ("cannot be seen", "cannot be reached", "not worth its seconds")
 CANNOT_BE_SEEN, CANNOT_BE_REACHED, NOT_WORTH = range(3)
 _BATCHES = 60
 """So many times reach is asked at most, to tell what cannot be reached."""
+_FINE = CandidateOptions(seeds=200, directions=240, per_seed=48)
 _TOGETHER = 0.02
 """Places nearer to each other than this make one patch [m]."""
 
@@ -50,17 +56,55 @@ def _decide(seen: np.ndarray, found: Candidates) -> None:
 
 def patches(targets: Targets, reasons: np.ndarray) -> tuple[Patch, ...]:
     """Targets gathered by place and reason (indices of REASONS, shape (m,)), the largest patch first."""
-    from scipy.cluster.hierarchy import fcluster, linkage
-
     out = []
     for r, name in enumerate(REASONS):
         some = targets.only(reasons == r)
-        if len(some) == 0:
-            continue
-        label = np.ones(1, int)
-        if len(some) > 1:
-            label = fcluster(linkage(some.points, "single"), _TOGETHER, "distance")
+        label = _together(some.points)
         for k in np.unique(label):
             group = some.only(label == k)
             out.append(Patch(center=group.points.mean(axis=0), area=float(group.areas.sum()), reason=name))
     return tuple(sorted(out, key=lambda p: -p.area))
+
+
+def _together(points: np.ndarray) -> np.ndarray:
+    """Which points (n, 3) hang together by short steps, shape (n,)."""
+    if len(points) == 0:
+        return np.zeros(0, int)
+    pairs = cKDTree(points).query_pairs(_TOGETHER, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
+    return connected_components(graph, directed=False)[1]
+
+
+def open_surface(
+    scene: Scene,
+    scanner: Scanner,
+    open_: Targets,
+    visible: np.ndarray,
+    *,
+    solid: np.ndarray,
+    reachable: Reachable,
+    table_radius: float,
+    table_z: float = 0.0,
+) -> np.ndarray:
+    """Why each piece of a known surface that was not scanned was not, as indices of REASONS, shape (m,).
+
+    Args:
+        scene: what blocks sight, the surface itself above all.
+        scanner: field, range, incidence, baseline.
+        open_: the surface that was not scanned.
+        visible: which of it some allowed scanner could see, shape (m,).
+        solid: points of the whole surface, shape (k, 3).
+        reachable: tells which poses the robot reaches.
+        table_radius: of the table's disc [m].
+        table_z: its height in O [m].
+    """
+    reasons = np.full(len(open_), CANNOT_BE_SEEN)
+    where = np.flatnonzero(visible)
+    if len(where):
+        found = candidates(
+            scene, scanner, open_.only(where), solid=solid, reachable=reachable, table_radius=table_radius,
+            table_z=table_z, options=_FINE,
+        )  # fmt: skip
+        # What can be seen, but from nowhere that a scanner on its arm can stand, is out of reach.
+        reasons[where] = np.maximum(why_open(found, np.arange(len(where))), CANNOT_BE_REACHED)
+    return reasons
