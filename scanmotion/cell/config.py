@@ -27,6 +27,12 @@ Offset = Annotated[Number, Field(ge=-5.0, le=5.0)]
 """Error of a place [mm]."""
 Turn = Annotated[Number, Field(ge=-2.0, le=2.0)]
 """Error of an orientation [deg]."""
+Side = Annotated[Number, Field(gt=0.0, le=100.0)]
+"""Side of a box [m]."""
+
+
+OWN_NAMES = ("floor", "table", "table_column", "pedestal", "part", "scanner", "fixture_plate")
+"""Names of solids that every cell has."""
 
 
 class _Settings(BaseModel):
@@ -99,10 +105,10 @@ class PedestalSettings(_Settings):
 class ObstacleSettings(_Settings):
     """A box that stands in the cell."""
 
-    name: str
-    centre_m: tuple[Number, Number, Number]
-    size_m: tuple[Number, Number, Number]
-    yaw_deg: Number = 0.0
+    name: str = Field(pattern=r"^[\w .-]{1,60}$", description="what findings and causes call it")
+    centre_m: tuple[Number, Number, Number] = Field(description="of the box, in the world")
+    size_m: tuple[Side, Side, Side] = Field(description="along its own x, y and z")
+    yaw_deg: Number = Field(0.0, description="turn of the box about the vertical")
 
 
 class ScannerSettings(_Settings):
@@ -165,7 +171,7 @@ class CellSettings(_Settings):
     tool: ToolSettings = ToolSettings.model_validate({})
     turntable: TurntableSettings = TurntableSettings.model_validate({})
     pedestal: PedestalSettings = PedestalSettings.model_validate({})
-    obstacles: tuple[ObstacleSettings, ...] = ()
+    obstacles: tuple[ObstacleSettings, ...] = Field((), max_length=200)
     scanner: ScannerSettings = ScannerSettings.model_validate({})
     process: ProcessSettings = ProcessSettings.model_validate({})
     twin: TwinSettings = TwinSettings.model_validate({})
@@ -188,6 +194,12 @@ class CellSettings(_Settings):
             raise ValueError("scanner.field_deg: angles between 0 and 120 deg are expected")
         if min(self.scanner.rays) < 8 or max(self.scanner.rays) > 8192:
             raise ValueError("scanner.rays: between 8 and 8192 pixels are expected")
+        names = [obstacle.name for obstacle in self.obstacles]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"obstacles: the name {name!r} is there twice")
+            if name in OWN_NAMES:
+                raise ValueError(f"obstacles: {name!r} is a name of the cell's own: {', '.join(OWN_NAMES)}")
         for key in ("home_deg", "acceleration"):
             value = getattr(self.robot, key)
             if isinstance(value, tuple) and len(value) != 6:
@@ -222,6 +234,18 @@ def _metres(millimetres: float) -> float:
     return millimetres / 1000
 
 
+class _StrictLoader(yaml.SafeLoader):
+    """YAML without code, in which no key may stand twice: the last one would silently win."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        keys = [k.value for k, _ in node.value if isinstance(k, yaml.ScalarNode)]
+        for key in keys:
+            if keys.count(key) > 1:
+                line = node.start_mark.line + 1
+                raise yaml.YAMLError(f"the key {key!r} is there twice in the mapping from line {line} on")
+        return super().construct_mapping(node, deep=deep)
+
+
 def builtin_cells() -> tuple[str, ...]:
     """Names of the cells that come with the package."""
     return tuple(sorted(p.stem for p in (models_dir() / "cells").glob("*.yaml")))
@@ -245,7 +269,7 @@ def load_cell(name_or_path: str | Path) -> CellSettings:
     try:
         if path.stat().st_size > 1 << 20:
             raise CellError(f"{text}: more than 1 MiB is not a cell")
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         line = " ".join(str(error).split())[:160]
         raise CellError(f"{text}: is not readable YAML ({line})") from None
@@ -280,11 +304,15 @@ def _message(first: Any, key: str, data: dict) -> str:
     value = first.get("input")
     if kind in ("greater_than_equal", "less_than_equal", "greater_than", "less_than"):
         bound = next(iter(context.values()))
+        if value == bound:
+            return f"{value!r} itself is not allowed"
         side = "below" if kind.startswith("greater") else "above"
         suffix = key.rstrip(".0123456789").rsplit("_", 1)[-1]
         unit = {"m": "metres", "mm": "millimetres", "deg": "degrees"}.get(suffix)
         hint = f"; is it in {unit}?" if unit else ""
         return f"{value!r} is {side} the {'least' if side == 'below' else 'greatest'} {bound:g} allowed{hint}"
+    if kind == "string_pattern_mismatch":
+        return f"{str(value)[:40]!r}: letters, digits, spaces, '.', '_' and '-' are expected"
     text = first["msg"].removeprefix("Value error, ")
     return " ".join(text.split())
 

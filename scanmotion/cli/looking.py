@@ -80,7 +80,7 @@ def export(
     to: Annotated[str, typer.Option("--to", help="csv, json, viewpoints, krl, krl-timed, ros or mcap.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="Where to write [default: the plan's folder].", rich_help_panel=OUT),
+        typer.Option("--out", help="Where to write; by default the plan's folder.", rich_help_panel=OUT),
     ] = None,
     name: Annotated[str, typer.Option("--name", help="Name of the robot programme.")] = "scan",
     quiet: Quiet = False,
