@@ -91,7 +91,8 @@ def read_poses(path: Path, files: list[Path]) -> dict[str, Any]:
     except KeyError as error:
         raise InputError(f"{path}: holds no {error}") from None
     for name, record in records.items():
-        R, p, last = record["T_object_scan"][:3, :3], record["T_object_scan"][:3, 3], record["T_object_scan"][3]
+        X = record["T_object_scan"]
+        R, p, last = X[:3, :3], X[:3, 3], X[3]
         rigid = np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0
         if not rigid or not np.allclose(last, [0, 0, 0, 1]) or not (np.abs(p) < 1e9).all():
             raise InputError(f"{path}: the pose of {name} is no rigid motion")
