@@ -135,7 +135,11 @@ def _numbers(summary: dict[str, Any]) -> str:
         ("viewpoints", f"{summary['viewpoints']['global']} global, {summary['viewpoints']['local']} local"),
         ("left out", f"{left_out}"),
     ]
-    return table((), rows)
+    # A conservator decides by these numbers: what they are has to stand beside them.
+    return table((), rows) + (
+        '<p class="note">Completeness and accuracy are predicted by simulating the scanner with the noise stated '
+        "in the settings below; the object itself has not been measured.</p>"
+    )
 
 
 def _coverage(plan: Any) -> str:
@@ -174,7 +178,7 @@ def _unscanned(patches: Any) -> list[str]:
         for i, patch in enumerate(sorted(patches, key=lambda p: -p.area), start=1)
     ]
     return [
-        "<p>Surface of the model of the last scan that stays unscanned, and why:</p>",
+        "<p>What stays unscanned, by the last scan, and why. The picture numbers the largest patches:</p>",
         table(("reason", "patches", "area mm2"), sums),
         f"<details><summary>all {len(rows)} patches</summary>"
         + table(("patch", "x y z mm", "area mm2", "reason"), rows)
