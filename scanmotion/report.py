@@ -137,8 +137,8 @@ def _numbers(summary: dict[str, Any]) -> str:
     ]
     # A conservator decides by these numbers: what they are has to stand beside them.
     return table((), rows) + (
-        '<p class="note">Completeness and accuracy are predicted by simulating the scanner with the noise stated '
-        "in the settings below; the object itself has not been measured.</p>"
+        '<p class="note">Completeness and accuracy are predicted by simulating the scanner with the noise '
+        "stated in the settings below; the object itself has not been measured.</p>"
     )
 
 
