@@ -12,7 +12,7 @@ from scanmotion.cell.plant import Cell, build_cell
 from scanmotion.errors import PlanFileError, ScanMotionError
 from scanmotion.part import Part, SurfaceSamples
 from scanmotion.partfile import read_geometry
-from scanmotion.planfile import PlanRecord, ViewpointRecord, read_json, read_plan, read_trajectory
+from scanmotion.planfile import PlanRecord, ViewpointRecord, inside, read_json, read_plan, read_trajectory
 from scanmotion.summaryfile import read_arrays, read_holes, read_summary
 from scanmotion.trajectory import Trajectory
 from scanmotion.viewpoints.viewpoint import Slack, Viewpoint
@@ -97,7 +97,9 @@ def load_plan(folder: str | Path) -> LoadedPlan:
 
 
 def _part(folder: Path, record: PlanRecord) -> Part:
-    raw = read_geometry(folder / record.part_file)
+    raw = read_geometry(inside(folder, record.part_file))
+    if not (np.abs(raw.vertices) < 100.0).all():
+        raise PlanFileError(f"{record.part_file}: corners 100 m away")
     return Part(name=record.part, vertices=raw.vertices, triangles=raw.triangles)
 
 

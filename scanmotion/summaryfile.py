@@ -19,7 +19,8 @@ _MAX_ARRAYS = 512 << 20
 _MAX_HOLES = 10_000
 
 Real = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
-Triple = tuple[Real, Real, Real]
+Triple = Annotated[list[Real], Field(min_length=3, max_length=3)]
+_Row = Annotated[list[Real], Field(min_length=4, max_length=4)]
 Count = Annotated[int, Field(ge=0, le=10**9)]
 
 
@@ -51,7 +52,7 @@ class _Round(_Open):
 
 
 class _Patch(_Open):
-    center_mm: list[Real] = Field(min_length=3, max_length=3)
+    center_mm: Triple
     area_mm2: Real
     reason: str
 
@@ -108,12 +109,16 @@ class _Summary(_Open):
 
 class _Hole(_Open):
     kind: str
-    boundary: list[list[Real]] = Field(min_length=3, max_length=1_000_000)
-    center: list[Real] = Field(min_length=3, max_length=3)
-    normal: list[Real] = Field(min_length=3, max_length=3)
-    extent: list[Real] = Field(min_length=3, max_length=3)
+    boundary: list[Triple] = Field(min_length=3, max_length=1_000_000)
+    center: Triple
+    normal: Triple
+    X_OH: Annotated[list[_Row], Field(min_length=4, max_length=4)]
+    extent: Triple
     perimeter: Real
     area: Real
+
+
+_ARRAYS = ("boundary", "center", "normal", "X_OH", "extent")
 
 
 class _Holes(_Open):
@@ -143,11 +148,9 @@ def read_holes(folder: Path) -> Any:
     data = read_json(folder, "holes.json")
     _check("holes.json", _Holes, data)
     holes = [
-        SimpleNamespace(**{k: np.array(v) if isinstance(v, list) else v for k, v in item.items()})
+        SimpleNamespace(**{k: np.array(item[k]) if k in _ARRAYS else item[k] for k in _Hole.model_fields})
         for item in data["holes"]
     ]
-    if any(hole.boundary.ndim != 2 or hole.boundary.shape[1] != 3 for hole in holes):
-        raise PlanFileError("holes.json: a boundary is not a list of points")
     return SimpleNamespace(holes=tuple(holes), tiny=(), notes=()) if holes else None
 
 
