@@ -80,7 +80,7 @@ def check(cell, clearance, seed):
 
 
 def test_random_sets_are_planned_or_say_why_not(cell, clearance):
-    results = np.array([check(cell, clearance, seed) for seed in range(20)])
+    results = np.array([check(cell, clearance, seed) for seed in range(12)])
     # Were nearly all out of reach, little would have been tried.
     assert results[:, 0].sum() > 0.5 * results[:, 1].sum()
     assert (results[:, 0] < results[:, 1]).any()
@@ -88,7 +88,7 @@ def test_random_sets_are_planned_or_say_why_not(cell, clearance):
 
 @pytest.mark.slow
 def test_a_thousand_random_sets(cell, clearance):
-    for seed in range(20, 1000):
+    for seed in range(12, 1000):
         check(cell, clearance, seed)
 
 
