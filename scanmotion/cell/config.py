@@ -39,8 +39,8 @@ class _Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-def _length(low: float, high: float, default: float) -> Any:
-    return Field(default=default, ge=low, le=high, json_schema_extra={"unit": "m"})
+def _length(low: float, high: float, default: float, meaning: str) -> Any:
+    return Field(default=default, ge=low, le=high, description=meaning, json_schema_extra={"unit": "m"})
 
 
 class RobotSettings(_Settings):
@@ -86,10 +86,10 @@ class TurntableSettings(_Settings):
 
     position_m: tuple[Number, Number] = Field((2.2, 0.0), description="axis in the world, x and y")
     height_m: Number = Field(0.70, ge=0.0, le=3.0, description="top above the floor")
-    diameter_m: Number = Field(1.52, gt=0.05, le=10.0)
-    thickness_m: Number = Field(0.06, gt=0.0, le=1.0)
+    diameter_m: Number = Field(1.52, gt=0.05, le=10.0, description="of the top")
+    thickness_m: Number = Field(0.06, gt=0.0, le=1.0, description="of the top")
     speed_rpm: Number = Field(10.0, gt=0.0, le=120.0, description="turns per minute")
-    acceleration_rad_s2: Number = Field(0.5, gt=0.0, le=50.0)
+    acceleration_rad_s2: Number = Field(0.5, gt=0.0, le=50.0, description="greatest")
     jerk_time_s: Number = Field(0.1, gt=0.0, le=5.0, description="jerk limit = acceleration / this time")
     range_deg: tuple[Number, Number] = Field((-720.0, 720.0), description="least and greatest angle")
     endless: bool = Field(False, description="the table may turn on for ever; range_deg is then not used")
@@ -98,8 +98,8 @@ class TurntableSettings(_Settings):
 class PedestalSettings(_Settings):
     """A block between table and object; height 0 for none."""
 
-    height_m: Number = Field(0.0, ge=0.0, le=2.0)
-    diameter_m: Number = Field(0.3, gt=0.0, le=5.0)
+    height_m: Number = Field(0.0, ge=0.0, le=2.0, description="above the table; 0 for none")
+    diameter_m: Number = Field(0.3, gt=0.0, le=5.0, description="it is round")
 
 
 class ObstacleSettings(_Settings):
@@ -116,7 +116,9 @@ class ScannerSettings(_Settings):
 
     field_deg: tuple[Number, Number] = Field((30.0, 21.0), description="field of view, long and short side")
     range_m: tuple[Number, Number] = Field((0.4, 1.0), description="least and greatest working distance")
-    max_incidence_deg: Number = Field(70.0, gt=0.0, lt=90.0)
+    max_incidence_deg: Number = Field(
+        70.0, gt=0.0, lt=90.0, description="greatest angle between a ray and the surface's normal"
+    )
     baseline_m: Number = Field(0.150, ge=0.0, le=2.0, description="camera to projector, along scanner x")
     rays: tuple[int, int] = Field((424, 296), description="measured pixels of a frame")
     sigma_mm: Number = Field(0.05, ge=0.0, le=10.0, description="noise along the ray at least distance")
@@ -126,15 +128,15 @@ class ScannerSettings(_Settings):
 class ProcessSettings(_Settings):
     """Table 2 of the paper, and what the plan has to keep."""
 
-    standoff_m: Number = _length(0.1, 5.0, 0.7)
+    standoff_m: Number = _length(0.1, 5.0, 0.7, "nominal distance of the scanner to the surface")
     scan_speed_m_s: Number = Field(0.1, gt=0.0, le=2.0, description="scanner relative to the part")
     transit_speed_m_s: Number = Field(0.1, gt=0.0, le=5.0, description="scanner in the world, between views")
     fps: Number = Field(10.0, gt=0.0, le=1000.0, description="frames captured per second")
     dwell_s: Number = Field(0.3, ge=0.0, le=60.0, description="how long the scanner stands at a viewpoint")
-    clearance_m: Number = _length(0.0, 0.5, 0.03)
-    self_clearance_m: Number = _length(0.0, 0.2, 0.005)
+    clearance_m: Number = _length(0.0, 0.5, 0.03, "arm and scanner to part, table and surroundings")
+    self_clearance_m: Number = _length(0.0, 0.2, 0.005, "links and scanner to one another")
     budget_s: Number = Field(152.0, gt=0.0, le=1e6, description="time allowed for the whole scan")
-    max_height_m: Number = _length(0.05, 5.0, 1.2)
+    max_height_m: Number = _length(0.05, 5.0, 1.2, "of a part that the cell takes")
 
 
 class TwinSettings(_Settings):
@@ -317,6 +319,11 @@ def _message(first: Any, key: str, data: dict) -> str:
     return " ".join(text.split())
 
 
+_OBSTACLE = """# Boxes that stand in the cell, for instance
+# obstacles:
+#   - {name: pillar, centre_m: [1.2, 1.4, 1.5], size_m: [0.3, 0.3, 3.0], yaw_deg: 20}"""
+
+
 def cell_template(name: str = "kr240") -> str:
     """A commented YAML of the built-in cell `name`, every key with its meaning and value."""
     settings = load_cell(name)
@@ -330,6 +337,7 @@ def cell_template(name: str = "kr240") -> str:
             continue
         if not isinstance(value, BaseModel):
             plain = [v.model_dump() for v in value] if isinstance(value, tuple) else value
+            lines += [_OBSTACLE] if key == "obstacles" else []
             lines += [f"{key}: {_yaml(plain)}", ""]
             continue
         lines += [f"# {' '.join((type(value).__doc__ or '').split())}", f"{key}:"]

@@ -1,6 +1,6 @@
 """`scanmotion cell init` and `scanmotion cell check`."""
 
-from math import degrees
+from math import degrees, isfinite
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -43,7 +43,11 @@ def check(file: Annotated[Path, typer.Argument(help="YAML file of a cell.")]) ->
     check_home(cell)
     ranges = zip(cell.joint_names, cell.q_min, cell.q_max, cell.v_max, strict=True)
     rows = [
-        (name, f"{degrees(low):.1f} .. {degrees(high):.1f} deg", f"{degrees(speed):.0f} deg/s")
+        (
+            name,
+            f"{degrees(low):.1f} .. {degrees(high):.1f} deg" if isfinite(high - low) else "endless",
+            f"{degrees(speed):.0f} deg/s",
+        )
         for name, low, high, speed in ranges
     ]
     print_table(f"{file}: ready", ("joint", "range", "speed"), rows)
