@@ -99,7 +99,7 @@ def _section(title: str, *parts: str) -> str:
 def _head(plan: Any, summary: dict[str, Any]) -> str:
     findings, late = len(summary["findings"]), not summary["budget"]["ok"]
     if findings or late:
-        reasons = [f"{findings} findings"] * bool(findings) + ["over its budget"] * late
+        reasons = [f"{findings} finding{'s' * (findings > 1)}"] * bool(findings) + ["over its budget"] * late
         verdict = f'<p class="bad"><b>Do not run:</b> {escape(", ".join(reasons))}.</p>'
     else:
         verdict = (

@@ -275,9 +275,14 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         *twin_rows(summary),
         ("time", f"{time['total']:.1f} s, {verdict} the budget of {limit:g} s (floor {time['floor']:.1f} s)"),
         ("of which [s]", split),
-        ("checks", "no finding" if not summary["findings"] else f"{len(summary['findings'])} findings"),
+        ("checks", counted(len(summary["findings"]))),
         ("planned in", f"{summary['planning_s']['total']:.1f} s"),
     ]  # fmt: skip
+
+
+def counted(findings: int) -> str:
+    """How many findings, in words."""
+    return "no finding" if not findings else "1 finding" if findings == 1 else f"{findings} findings"
 
 
 def twin_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
