@@ -97,14 +97,11 @@ def box_part(length: float, width: float, height: float) -> Part:
     """The closed box of L x W x H [m] on the table's centre: all that is known of an unseen object.
 
     Raises:
-        PartError: a side is not a number between 1 mm and 100 m.
+        PartError: a side is not a positive, finite number.
     """
     sides = np.array([length, width, height], dtype=float)
-    if not ((sides > 0.999e-3) & (sides < 100.0)).all():
-        raise PartError(
-            f"box of {length * 1e3:g} x {width * 1e3:g} x {height * 1e3:g} mm: sides between 1 mm and 100 m "
-            "are expected"
-        )
+    if not np.isfinite(sides).all() or (sides <= 0).any():
+        raise PartError(f"box of {length:g} x {width:g} x {height:g} m: sides must be positive numbers")
     corners = np.array([[x, y, z] for z in (0.0, 1.0) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
     quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
     triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]

@@ -85,9 +85,16 @@ def cell_from(robot: str | None, cell: Path | None) -> "CellSettings":
 
 
 def box_from(box: tuple[float, float, float]) -> "Part":
-    """A box part from sides in mm."""
+    """A box part from sides in mm.
+
+    Raises:
+        InputError: a side is not a number between 1 mm and 100 m.
+    """
     from scanmotion.part import box_part
 
+    if not all(1.0 <= side <= 1e5 for side in box):
+        sides = " x ".join(f"{side:g}" for side in box)
+        raise InputError(f"--box: {sides} mm; sides between 1 mm and 100 m are expected")
     return box_part(*(side * 1e-3 for side in box))
 
 
