@@ -5,6 +5,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from scanmotion.figures import palette
 from scanmotion.figures.surface import (
@@ -90,7 +91,11 @@ def _patches(ax: "Axes", plan: Any, view: View) -> None:
 
 
 def _views(part: Any, pixels: int = 420) -> list[View]:
-    """SIDES in one scale, `pixels` for the longest side among them."""
+    """SIDES in one scale, `pixels` for the longest side among them; fewer where a cloud would show gaps."""
+    if not part.is_mesh:
+        few = part.vertices[:: max(1, len(part.vertices) // 2000)]
+        apart = float(np.quantile(cKDTree(part.vertices).query(few, k=7)[0][:, -1], 0.9))
+        pixels = int(np.clip(1.5 * part.extent.max() / max(apart, 1e-6), 100, pixels))
     scale = max(view_of(part, azimuth=a, elevation=e, pixels=pixels).scale for _, a, e in SIDES)
     return [view_of(part, azimuth=a, elevation=e, scale=scale) for _, a, e in SIDES]
 
