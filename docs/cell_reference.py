@@ -13,9 +13,21 @@ HEAD = """# The cell's YAML
 This page is written by `docs/cell_reference.py` from the code that reads the file; do not edit it.
 
 `scanmotion cell init my-cell.yaml` writes a commented file to start from.
-`scanmotion cell check my-cell.yaml` names the first thing that is wrong with it.
-A key that is left out has its default. Every key ends in its unit. An unknown key, a number with its unit in
-the text, a NaN or a value out of its range is refused with the dotted key.
+`scanmotion cell check my-cell.yaml` names the first thing that is wrong with it: a key, a value, a robot that
+touches something at rest, an obstacle in which the table would turn.
+A key that is left out has its default. Every key ends in its unit. An unknown key, a key that stands twice, a
+number with its unit in the text, a NaN or a value out of its range is refused with the dotted key.
+
+A file holds only what differs from the built-in cell:
+
+```yaml
+name: workshop
+turntable: {position_m: [2.0, 0.3], diameter_m: 1.2, endless: true}
+obstacles:
+  - {name: pillar, centre_m: [1.2, 1.4, 1.5], size_m: [0.3, 0.3, 3.0], yaw_deg: 20}
+  - {name: cabinet, centre_m: [-1.5, 0.0, 1.0], size_m: [0.5, 2.0, 2.0]}
+process: {clearance_m: 0.05, budget_s: 120}
+```
 """
 
 

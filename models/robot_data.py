@@ -177,7 +177,7 @@ SIDEWAYS = "1.5707963267948966 0 0"
 ROBOTS = {
     "kr240": dict(
         title="KUKA KR 240 R2900-2",
-        source="KD urdf/kr240_r2900_2_macro.xacro, config/kr240_r2900_2_joint_limits.yaml",
+        source="kroshu/kuka_robot_descriptions: urdf/kr240_r2900_2_macro.xacro, config/kr240_r2900_2_joint_limits.yaml",
         reach=2.9003, payload=240.0,
         offsets=kuka(0.645, 0.330, 1.350, -0.115, 1.220, 0.240), axes=KUKA_AXES, ranges=KUKA_RANGES,
         velocity=(103, 94, 100, 170, 129, 206), effort=(7290, 9240, 7295, 2324, 2326, 1493),
@@ -188,7 +188,7 @@ ROBOTS = {
     ),
     "kr240-ultra": dict(
         title="KUKA KR 240 R2900 ultra (composed from its siblings)",
-        source="lengths from KD kr210_r3100_ultra and KX kr270r2700, kr210r2700extra; limits of the R3100 ultra; "
+        source="lengths from kroshu/kuka_robot_descriptions kr210_r3100_ultra and ros-industrial/kuka_experimental kr270r2700, kr210r2700extra; limits of the R3100 ultra; "
         "masses of the R2900-2",
         reach=2.8956, payload=240.0,
         offsets=kuka(0.675, 0.350, 1.350, 0.041, 1.200, 0.240), axes=KUKA_AXES,
@@ -201,7 +201,7 @@ ROBOTS = {
     ),
     "kr210": dict(
         title="KUKA KR 210 R2700-2",
-        source="KD kr210_r2700_2 macro, joint limits and masses; collision boxes of the KR 240 R2900-2, upper arm "
+        source="kroshu/kuka_robot_descriptions: kr210_r2700_2 macro, joint limits and masses; collision boxes of the KR 240 R2900-2, upper arm "
         "shortened; its inertias, in the ratio of the masses",
         reach=2.7010, payload=210.0,
         offsets=kuka(0.645, 0.330, 1.150, -0.115, 1.220, 0.215), axes=KUKA_AXES,
@@ -215,7 +215,7 @@ ROBOTS = {
     ),
     "irb6700": dict(
         title="ABB IRB 6700-235/2.65",
-        source="AE irb6700_235_265_macro: lengths, ranges, speeds, outline; masses, torques and accelerations are "
+        source="ros-industrial/abb_experimental: irb6700_235_265_macro: lengths, ranges, speeds, outline; masses, torques and accelerations are "
         "not published: those of the KR 240 R2900-2",
         reach=2.654, payload=235.0,
         offsets=abb(0.780, 0.320, 1.135, -0.200, 1.1825, 0.200), axes=ABB_AXES,
@@ -228,7 +228,7 @@ ROBOTS = {
     ),
     "ur10e": dict(
         title="Universal Robots UR10e",
-        source="UR config/ur10e/*.yaml; payload from the maker's data sheet; accelerations are not published: "
+        source="UniversalRobots/Universal_Robots_ROS2_Description: config/ur10e/*.yaml; payload from the maker's data sheet; accelerations are not published: "
         "those proposed for MoveIt",
         reach=1.300, payload=12.5,
         offsets=ur(0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655), axes=UR_AXES,

@@ -4,9 +4,13 @@ The public names stand below in the order of the pipeline; each is loaded when i
 """
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+# In a notebook Open3D would open its WebRTC window system, and say so.
+os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
 
 _HOMES = {
     "ScanMotionError": "errors",

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from scanmotion.errors import InputError, PlanFileError
+from scanmotion.errors import InputError
 from scanmotion.legs import Leg, Progress, silent
-from scanmotion.loaded import LoadedPlan, arrays_of, load_plan
+from scanmotion.loaded import LoadedPlan, load_plan
 from scanmotion.motion.floor import floor_seconds
 from scanmotion.motion.reach import Reach
 from scanmotion.motion.seconds import move_model
@@ -17,6 +17,7 @@ from scanmotion.motion.tour import Stop, Tour
 from scanmotion.outcome import Plan
 from scanmotion.pipeline import PlanOptions, Trip
 from scanmotion.scan.fuse import Cloud
+from scanmotion.summaryfile import read_cloud
 from scanmotion.trajectory import Operation, Trajectory
 from scanmotion.viewpoints.viewpoint import Viewpoint
 
@@ -172,10 +173,7 @@ def _leave_out(trip: Trip, lost: Sequence[Viewpoint], reasons: dict[str, str]) -
 
 def _cloud(folder: Path) -> Cloud:
     """The measured cloud that the earlier plan began with."""
-    arrays = arrays_of(folder)
-    if "cloud" not in arrays or "normals" not in arrays:
-        raise PlanFileError("scan.npz: the measured cloud is missing")
-    points, normals = arrays["cloud"].astype(float), arrays["normals"].astype(float)
+    points, normals = read_cloud(folder)
     return Cloud(
         points=points, normals=normals, view_directions=normals, counts=np.ones(len(points), np.int64)
     )  # fmt: skip

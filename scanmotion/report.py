@@ -99,7 +99,7 @@ def _section(title: str, *parts: str) -> str:
 def _head(plan: Any, summary: dict[str, Any]) -> str:
     findings, late = len(summary["findings"]), not summary["budget"]["ok"]
     if findings or late:
-        reasons = [f"{findings} findings"] * bool(findings) + ["over its budget"] * late
+        reasons = [f"{findings} finding{'s' * (findings > 1)}"] * bool(findings) + ["over its budget"] * late
         verdict = f'<p class="bad"><b>Do not run:</b> {escape(", ".join(reasons))}.</p>'
     else:
         verdict = (
@@ -135,7 +135,13 @@ def _numbers(summary: dict[str, Any]) -> str:
         ("viewpoints", f"{summary['viewpoints']['global']} global, {summary['viewpoints']['local']} local"),
         ("left out", f"{left_out}"),
     ]
-    return table((), rows)
+    if done["final"] is None:
+        return table((), rows)
+    # A conservator decides by these numbers: what they are has to stand beside them.
+    return table((), rows) + (
+        '<p class="note">Completeness and accuracy are predicted by simulating the scanner with the noise '
+        "stated in the settings below; the object itself has not been measured.</p>"
+    )
 
 
 def _coverage(plan: Any) -> str:
@@ -174,7 +180,7 @@ def _unscanned(patches: Any) -> list[str]:
         for i, patch in enumerate(sorted(patches, key=lambda p: -p.area), start=1)
     ]
     return [
-        "<p>Surface of the model of the last scan that stays unscanned, and why:</p>",
+        "<p>What stays unscanned, by the last scan, and why. The picture numbers the largest patches:</p>",
         table(("reason", "patches", "area mm2"), sums),
         f"<details><summary>all {len(rows)} patches</summary>"
         + table(("patch", "x y z mm", "area mm2", "reason"), rows)

@@ -26,7 +26,8 @@ from scanmotion.figures.shapes import (
     tube,
     vertex_normals,
 )  # fmt: skip
-from scanmotion.figures.surface import STATUS_RGB, nearest_status, status_of_samples
+from scanmotion.figures.sight import first_sight
+from scanmotion.figures.surface import nearest_status, status_of_samples
 
 FRAMES_PER_SECOND = 10.0
 _AXIS_COLOURS = ("#d62728", "#2ca02c", "#1f77b4")
@@ -52,7 +53,7 @@ def live_scene(plan: Any) -> Meshcat:
     meshcat.SetProperty("/Axes", "visible", False)
     meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 0.9)
     bodies = _cell(meshcat, plan)
-    _part(meshcat, plan)
+    appearing = _part(meshcat, plan)
     _scanner(meshcat, plan)
     _frames(meshcat, plan)
     if plan.trajectory is None:
@@ -60,7 +61,7 @@ def live_scene(plan: Any) -> Meshcat:
             meshcat.SetTransform(path, _pose(X[0]))
     else:
         _path(meshcat, plan)
-        _record(meshcat, plan, bodies)
+        _record(meshcat, plan, bodies, appearing)
     base, table = plan.cell.X_WB[:3, 3], plan.cell.X_WT[:3, 3]
     meshcat.SetCameraPose(table + [0.25, -2.4, 1.15], 0.63 * table + 0.37 * base + [0.0, 0.0, 0.45])
     return meshcat
@@ -129,22 +130,17 @@ def _cell(meshcat: Meshcat, plan: Any) -> _Bodies:
     return bodies
 
 
-def _part(meshcat: Meshcat, plan: Any) -> None:
-    """The surface coloured by what became of it, the holes and the viewpoints: all turn with the table."""
-    part, samples = plan.part, plan.samples
-    if part.is_mesh:
-        mesh = paintable(part)
-        if samples is not None and plan.visible is not None:
-            status = nearest_status(mesh[0], vertex_normals(mesh), samples, status_of_samples(plan))
-            colours = STATUS_RGB[status]
-        else:
-            colours = np.full((len(mesh[0]), 3), 0.8)
-        meshcat.SetTriangleColorMesh(
-            "part/surface",
-            _columns(mesh[0]),
-            _columns(mesh[1], np.int32),
-            _columns(colours**2.2),  # vertex colours are taken as linear light, the legend's are not
-        )
+def _part(meshcat: Meshcat, plan: Any) -> list[tuple[str, float]]:
+    """The surface coloured by what becomes of it, the holes and the viewpoints: all turn with the table.
+
+    Returns:
+        Path and instant [s] of each piece of surface that is seen, which is grey until then.
+    """
+    part, appearing = plan.part, []
+    if part.is_mesh and plan.samples is not None and plan.visible is not None:
+        appearing = _surface(meshcat, plan)
+    elif part.is_mesh:
+        _mesh(meshcat, "part/surface", paintable(part), "#cccccc")
     else:
         _cloud(meshcat, part.vertices)
     for number, hole in enumerate(plan.holes.holes if plan.holes is not None else (), start=1):
@@ -160,6 +156,28 @@ def _part(meshcat: Meshcat, plan: Any) -> None:
             colour,
         )
     _viewpoints(meshcat, plan)
+    return appearing
+
+
+def _surface(meshcat: Meshcat, plan: Any) -> list[tuple[str, float]]:
+    """The part's triangles in pieces, one for each colour and instant at which it appears."""
+    vertices, triangles = paintable(plan.part)
+    normals = vertex_normals((vertices, triangles))
+    ends, first = first_sight(plan)
+    status = status_of_samples(plan)
+    # One number for both: which sample is nearest is asked once.
+    both = (first + 1) * len(palette.STATUS_COLOURS) + status
+    kind = nearest_status(vertices, normals, plan.samples, both)[triangles[:, 0]]
+    appearing = []
+    for value in np.unique(kind):
+        used, index = np.unique(triangles[kind == value], return_inverse=True)
+        mesh, colour = (vertices[used], index.reshape(-1, 3)), int(value) % len(palette.STATUS_COLOURS)
+        slice_, path = int(value) // len(palette.STATUS_COLOURS) - 1, f"part/surface/{value}"
+        if slice_ >= 0:
+            _mesh(meshcat, f"{path}/before", mesh, palette.NOT_YET)
+            appearing.append((path, float(ends[slice_])))
+        _mesh(meshcat, f"{path}/seen", mesh, palette.STATUS_COLOURS[colour])
+    return appearing
 
 
 def _cloud(meshcat: Meshcat, points: np.ndarray) -> None:
@@ -240,7 +258,7 @@ def frame_times(trajectory: Any, fps: float = FRAMES_PER_SECOND) -> np.ndarray:
     return np.unique(np.clip(index, 0, len(t) - 1))
 
 
-def _record(meshcat: Meshcat, plan: Any, bodies: _Bodies) -> None:
+def _record(meshcat: Meshcat, plan: Any, bodies: _Bodies, appearing: list[tuple[str, float]]) -> None:
     cell, trajectory = plan.cell, plan.trajectory
     index = frame_times(trajectory)
     t, q = trajectory.t[index], trajectory.q[index]
@@ -256,6 +274,10 @@ def _record(meshcat: Meshcat, plan: Any, bodies: _Bodies) -> None:
             meshcat.SetTransform(path, _pose(X[i]), time_in_recording=float(t[i]))
     for i in _changes(scanning[:, None, None]):
         meshcat.SetProperty("scanner/field", "visible", bool(scanning[i]), time_in_recording=float(t[i]))
+    for path, instant in appearing:
+        for name, before in (("before", True), ("seen", False)):
+            meshcat.SetProperty(f"{path}/{name}", "visible", before, time_in_recording=0.0)
+            meshcat.SetProperty(f"{path}/{name}", "visible", not before, time_in_recording=instant)
     meshcat.StopRecording()
     meshcat.get_mutable_recording().set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
     meshcat.PublishRecording()
@@ -263,6 +285,8 @@ def _record(meshcat: Meshcat, plan: Any, bodies: _Bodies) -> None:
     for path, X in poses.items():
         meshcat.SetTransform(path, _pose(X[0]))
     meshcat.SetProperty("scanner/field", "visible", bool(scanning[0]))
+    for path, _ in appearing:
+        meshcat.SetProperty(f"{path}/before", "visible", False)
 
 
 def _changes(values: np.ndarray) -> np.ndarray:
@@ -340,8 +364,7 @@ def _with_overlay(page: str, plan: Any) -> str:
     done, time = summary["completeness"]["final"], summary["time_s"]["total"]
     numbers = f"{time:.1f} s" + ("" if done is None else f", {done:.2%} of what can be seen")
     entries = list(zip(palette.STATUS_NAMES, palette.STATUS_COLOURS, strict=True))
-    if plan.samples is None:
-        entries = []
+    entries = [("not seen yet", palette.NOT_YET), *entries] if plan.samples is not None else []
     kinds = dict.fromkeys(o.kind for o in plan.trajectory.operations) if plan.trajectory is not None else {}
     entries += [(f"path: {kind}", palette.OPERATION_COLOURS[kind]) for kind in kinds]
     entries += [("field of view (while scanning)", "#f2a33a"), ("viewpoint left out", "#c8102e")]

@@ -48,6 +48,17 @@ def kr240_cell():
 
 
 @pytest.fixture(scope="session")
+def pitted_plan():
+    """Both steps of a block with a pit, coarsely; plans are not changed by those who look at them."""
+    from test_plan import TINY, pitted
+
+    from scanmotion.cell.config import load_cell
+    from scanmotion.pipeline import PlanOptions, plan
+
+    return plan(pitted(), load_cell("kr240"), options=PlanOptions(seed=5, **TINY))
+
+
+@pytest.fixture(scope="session")
 def lump():
     """A closed lump without symmetry."""
     from scans import bumpy

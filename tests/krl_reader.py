@@ -130,6 +130,10 @@ def take(line, moves, state):
     """One line of code."""
     if line in SETTINGS or line == "PTP XSTART":
         return
+    if m := re.fullmatch(r"\$OUT\[(\d+)\]=(TRUE|FALSE)", line):
+        assert state["spline"] is None
+        moves.append(Move("OUT", {int(m[1]): m[2] == "TRUE"}))
+        return
     if state["spline"] is not None:
         in_spline(line, moves, state)
     elif m := re.fullmatch(r"BAS \(#VEL_PTP,(\d+) \)", line):

@@ -1,6 +1,8 @@
 """Bad input of every kind is answered with one line on stderr and status 2, and leaves nothing behind."""
 
+import os
 import struct
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -26,6 +28,23 @@ def ply(vertices, faces, *, n_vertices=None, n_faces=None):
 
 def scaled(factor):
     return [tuple(factor * c for c in v) for v in TETRA]
+
+
+def obstacle(name, centre, size):
+    return f"obstacles:\n  - {{name: {name!r}, centre_m: {list(centre)}, size_m: {list(size)}}}\n"
+
+
+ROW = "v1,local,station,,700,0,0,800,0,1,0,0,0,0,0,0,"
+
+
+def views(*rows):
+    from scanmotion.export.viewpoints import HEADER
+
+    return "\n".join([",".join(HEADER), *rows]) + "\n"
+
+
+def poses(more='"note": ""', *, x="0", last="0,0,0,1"):
+    return f'{{"scans": {{"good.ply": {{"T_object_scan": [1,0,0,{x},0,1,0,0,0,0,1,0,{last}], {more}}}}}}}'
 
 
 FILES = {
@@ -85,9 +104,100 @@ FILES = {
     "empty.json": b'{"scans": {}}',
     "sheared.json": b'{"scans": {"good.ply": {"T_object_scan": [2,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}}}',
     "a_file": b"x",
+    # obstacles
+    "through.yaml": obstacle("wall", (2.2, 0.0, 1.0), (1.0, 1.0, 1.0)),
+    "beside.yaml": obstacle("wall", (2.2, 0.8, 1.0), (0.1, 0.1, 1.0)),
+    "robot_in_wall.yaml": obstacle("wall", (0.0, 0.0, 1.0), (1.0, 1.0, 2.0)),
+    "floor.yaml": obstacle("floor", (0.5, 0.0, 1.0), (1.0, 1.0, 1.0)),
+    "markup.yaml": obstacle("<x>", (5.0, 0.0, 1.0), (1.0, 1.0, 1.0)),
+    "flat_wall.yaml": obstacle("wall", (5.0, 0.0, 1.0), (1.0, 0.0, 1.0)),
+    "twice.yaml": obstacle("a", (5.0, 0.0, 1.0), (1.0, 1.0, 1.0)) * 2,
+    "same_name.yaml": obstacle("a", (5.0, 0.0, 1.0), (1.0, 1.0, 1.0))
+    + obstacle("a", (6.0, 0.0, 1.0), (1.0, 1.0, 1.0)).removeprefix("obstacles:\n"),
+    "crowd.yaml": "obstacles:\n"
+    + "".join(f"  - {{name: o{i}, centre_m: [5, {i}, 1], size_m: [1, 1, 1]}}\n" for i in range(201)),
+    # more of YAML
+    "key_twice.yaml": "process:\n  fps: 10\n  fps: 20\n",
+    "two.yaml": "process: {}\n---\nprocess: {}\n",
+    "date.yaml": "process:\n  fps: 2024-01-01\n",
+    "utf16.yaml": "process: {}\n".encode("utf-16"),
+    "number_key.yaml": "1: 2\n",
+    "deep.yaml": "[" * 5_000,
+    "laughs.yaml": "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in pairwise("abcdefgh")),
+    "range.yaml": "scanner:\n  range_m: [1.0, 0.4]\n",
+    "half_turn.yaml": "turntable:\n  range_deg: [0, 180]\n",
+    "rays.yaml": "scanner:\n  rays: [100000, 100000]\n",
+    "five.yaml": "robot:\n  acceleration: [1, 2, 3, 4, 5]\n",
+    "heavy.yaml": "robot:\n  acceleration: heavy\n",
+    "joints.yaml": "robot:\n  joints: [A1, A1, A2, A3, A4, A5]\n",
+    "flange.yaml": "robot:\n  flange: nowhere\n",
+    # viewpoints
+    "none.csv": views(),
+    "good.csv": views(ROW),
+    "nan.csv": views(ROW.replace("700", "nan")),
+    "behind.csv": views(ROW.replace("700", "-700")),
+    "beyond.csv": views(ROW.replace("800", "8e300")),
+    "quaternion.csv": views(ROW.replace("0,1,0,0", "0,0,0,0")),
+    "double.csv": views(ROW, ROW),
+    "kind.csv": views(ROW.replace("station", "statoin")),
+    "short.csv": views("v1,local"),
+    "formula.csv": views(ROW + "=cmd"),
+    "quote.csv": views('"v1'),
+    "deep.json": '{"version":1,"viewpoints":' + "[" * 50_000,
+    "list.json": "[]",
+    "version.json": '{"version":2,"viewpoints":[]}',
+    # poses
+    "direction2.json": poses('"nominal_view_direction": [0, 0]'),
+    "direction_word.json": poses('"nominal_view_direction": ["a", 0, 0]'),
+    "direction0.json": poses('"nominal_view_direction": [0, 0, 0]'),
+    "last_row.json": poses(last="5,0,0,1"),
+    "far.json": poses(x="1e308"),
+    "deep_poses.json": '{"scans":' + "[" * 50_000,
+    "list_poses.json": "[1]",
+    # more of meshes and clouds
+    "no_faces.ply": ply(TETRA, ()),
+    "before.ply": ply(TETRA, [(0, 1, -2), (0, 2, 1), (1, 2, 3)]),
+    "denormal.ply": ply(scaled(1e-310), FACES),
+    "comments.ply": "ply\nformat ascii 1.0\n" + "comment x\n" * 20_000,
+    "zip.ply": b"PK\x03\x04" + b"\0" * 100,
+    "back.obj": "v 0 0 0\nv 100 0 0\nv 0 100 0\nv 0 0 100\nf -1 -2 -9\n",
+    "nan.stl": b"\0" * 80 + struct.pack("<I", 1) + struct.pack("<12fH", *[float("nan")] * 12, 0),
+    "nan.xyz": "nan 0 0\n" * 50,
+    "same.xyz": "1 2 3\n" * 200,
+    "row.xyz": "".join(f"{i} 0 0\n" for i in range(200)),
+    "claims.pcd": "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+    "WIDTH 4000000000\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 4000000000\nDATA binary\n",
 }
 """What each file of the folder that the cases run in holds."""
 
+PIPES = (
+    ("plan --part", ".ply"), ("plan --scan", ".xyz"), ("plan --cell", ".yaml"),
+    ("reach --viewpoints", ".csv"), ("holes", ".stl"), ("fuse good.ply --out fused.ply --poses", ".json"),
+    ("fuse --out fused.ply", ".ply"),
+)  # fmt: skip
+CELLS = (
+    "robot_in_wall", "floor", "markup", "flat_wall", "twice", "same_name", "crowd", "key_twice", "two",
+    "date", "utf16", "number_key", "deep", "laughs", "range", "half_turn", "rays", "five", "heavy", "joints",
+    "flange",
+)  # fmt: skip
+VIEWS = (
+    "none.csv", "nan.csv", "behind.csv", "beyond.csv", "quaternion.csv", "double.csv", "kind.csv",
+    "short.csv", "formula.csv", "quote.csv", "deep.json", "list.json", "version.json",
+)  # fmt: skip
+POSES = (
+    "direction2", "direction_word", "direction0", "last_row", "far", "deep_poses", "list_poses",
+)  # fmt: skip
+MESHES = (
+    "no_faces.ply",
+    "list.ply",
+    "before.ply",
+    "denormal.ply",
+    "comments.ply",
+    "zip.ply",
+    "back.obj",
+    "nan.stl",
+)
+CLOUDS = ("nan.xyz", "same.xyz", "row.xyz", "claims.pcd")
 CASES = {
     # the command line itself
     "unknown command": "plam",
@@ -205,6 +315,48 @@ CASES = {
     "fuse with no voxels": "fuse good.ply --out fused.ply --voxel 0",
     "compare an unknown variant": "compare --variant magic",
     "compare with no seed": "compare --seeds 0",
+    "compare with no variant": "compare --variants ,",
+    "compare into no folder": "compare --out nowhere/table.md",
+    "compare into a strange file": "compare --out table.txt",
+    # where options contradict one another, or what they need is missing
+    "unit of a box": "plan --box 600 330 200 --units m",
+    "up of the carving": "plan --up +y",
+    "place of the carving": "plan --place keep",
+    "done of nothing": "plan --done L1",
+    "failed of nothing": "plan --failed L1",
+    "keep nothing": "plan --keep nowhere",
+    "keep no plan": "plan --keep .",
+    "keep and part": "plan --keep nowhere --part good.ply",
+    "tiny box": "plan --box 1e-9 1 1",
+    "box beyond numbers": "plan --box 1e308 1e308 1e308",
+    "out is a device": "plan --out /dev/null",
+    "out below a device": "plan --out /dev/null/x",
+    "map into a strange file": "reach --box 100 100 100 --map map.jpg",
+    "map into no folder": "reach --box 100 100 100 --map nowhere/map.png",
+    "holes into no folder": "holes good.ply --out nowhere/holes.json",
+    "holes into a strange file": "holes good.ply --out holes.txt",
+    "holes of a folder": "holes .",
+    "viewpoints into no folder": "viewpoints --box 100 100 100 --out nowhere/v.csv",
+    "fuse into no folder": "fuse good.ply --out nowhere/fused.ply",
+    "fuse an empty folder": "fuse hollow --out fused.ply",
+    "fuse without its poses": "fuse good.ply --poses nowhere.json --out fused.ply",
+    "nothing left to fuse": "fuse good.ply --out fused.ply",
+    "voxels of no number": "fuse good.ply --out fused.ply --voxel nan",
+    "verify a folder without a plan": "verify hollow",
+    "show a folder live without a plan": "show hollow --live --no-browser",
+    # what is no plain file
+    **{f"pipe as {a.split()[-1]}": f"{a} pipe{b}" for a, b in PIPES},
+    **{f"endless device as {a.split()[-1]}": f"{a} device{b}" for a, b in PIPES},
+    "a link in a circle": "plan --part circle.ply",
+    "a link to nothing": "plan --part dangling.ply",
+    # cells, viewpoints, poses, meshes
+    **{f"cell {n}": f"cell check {n}.yaml" for n in CELLS},
+    "cell through": "plan --part good.ply --cell through.yaml",
+    "cell beside": "plan --box 1500 100 900 --cell beside.yaml",
+    **{f"viewpoints {n}": f"reach --viewpoints {n}" for n in VIEWS},
+    **{f"poses {n}": f"fuse good.ply --out fused.ply --poses {n}.json" for n in POSES},
+    **{f"mesh {n}": f"plan --part {n}" for n in MESHES},
+    **{f"cloud {n}": f"plan --scan {n}" for n in CLOUDS},
 }
 
 
@@ -213,17 +365,24 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bad")
     for name, content in FILES.items():
         (folder / name).write_bytes(content.encode() if isinstance(content, str) else content)
+    (folder / "hollow").mkdir()
+    (folder / "circle.ply").symlink_to("circle.ply")
+    (folder / "dangling.ply").symlink_to("nowhere.ply")
+    for _, suffix in dict.fromkeys(PIPES):
+        if not (folder / f"pipe{suffix}").exists():
+            os.mkfifo(folder / f"pipe{suffix}")
+            (folder / f"device{suffix}").symlink_to("/dev/zero")
     return folder
 
 
 def test_the_list_is_long_enough():
-    assert len(CASES) >= 60
+    assert len(CASES) >= 200
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_one_line_status_2_and_nothing_written(name, folder, monkeypatch, capfd):
     monkeypatch.chdir(folder)
-    before = {p: p.stat().st_mtime_ns for p in Path(".").rglob("*")}
+    before = {p: p.lstat().st_mtime_ns for p in Path(".").rglob("*")}
     result = CliRunner().invoke(app, CASES[name].split())
     said = result.stderr + capfd.readouterr().err
     assert result.exit_code == 2, f"{result.exit_code}: {result.output}"
@@ -231,7 +390,7 @@ def test_one_line_status_2_and_nothing_written(name, folder, monkeypatch, capfd)
     assert said.count("\n") == 1, said
     assert "Traceback" not in said
     assert result.stdout == ""
-    assert {p: p.stat().st_mtime_ns for p in Path(".").rglob("*")} == before
+    assert {p: p.lstat().st_mtime_ns for p in Path(".").rglob("*")} == before
 
 
 @pytest.mark.parametrize(

@@ -5,13 +5,12 @@ import itertools
 import numpy as np
 import pytest
 from judged_plan import hand_made_plan
-from test_plan import TINY, pitted
+from test_plan import TINY
 
 from scanmotion.budget import Coverage, budget_record, coverage_of
-from scanmotion.cell.config import load_cell
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.motion.tour import Stop
-from scanmotion.pipeline import PlanOptions, plan
+from scanmotion.pipeline import PlanOptions
 from scanmotion.replan import replan
 from scanmotion.report import report_html
 from scanmotion.scan.simulate import ScanErrors, captures_from_trajectory, simulate
@@ -138,11 +137,10 @@ def test_coverage_is_what_the_twin_sees(made, kr240_cell):
 
 
 @pytest.fixture(scope="module")
-def planned(tmp_path_factory):
+def planned(pitted_plan, tmp_path_factory):
     folder = tmp_path_factory.mktemp("budget") / "plan"
-    result = plan(pitted(), load_cell("kr240"), options=OPTIONS)
-    result.save(folder)
-    return folder, result
+    pitted_plan.save(folder)
+    return folder, pitted_plan
 
 
 def test_the_summary_agrees_with_the_plan(planned):

@@ -2,6 +2,8 @@
 
 import math
 
+import fcl
+import numpy as np
 import pytest
 import yaml
 from hypothesis import given
@@ -14,8 +16,9 @@ from scanmotion.cell.config import (
     load_cell,
     settings_from,
 )
-from scanmotion.cell.plant import build_cell
+from scanmotion.cell.plant import build_cell, check_room
 from scanmotion.errors import CellError, ScanMotionError
+from scanmotion.part import box_part
 
 FAULTS = [
     ({"turntable": {"heigth_m": 0.7}}, "turntable.heigth_m", "unknown"),
@@ -169,3 +172,42 @@ def test_every_section_forbids_what_it_does_not_know():
 
     for model in (CellSettings, *sections(CellSettings)):
         assert model.model_config["extra"] == "forbid" and model.model_config["frozen"]
+
+
+def collide(radius, low, high, p_WT, obstacle):
+    """FCL's word on a round solid about the table's axis and the obstacle's box."""
+    yaw = math.radians(obstacle["yaw_deg"])
+    R = np.array([[math.cos(yaw), -math.sin(yaw), 0], [math.sin(yaw), math.cos(yaw), 0], [0, 0, 1]])
+    box = fcl.CollisionObject(fcl.Box(*obstacle["size_m"]), fcl.Transform(R, obstacle["centre_m"]))
+    middle = np.array([p_WT[0], p_WT[1], (low + high) / 2])
+    round_one = fcl.CollisionObject(fcl.Cylinder(radius, high - low), fcl.Transform(np.eye(3), middle))
+    return bool(fcl.collide(box, round_one, fcl.CollisionRequest(), fcl.CollisionResult()))
+
+
+def test_obstacles_are_refused_where_the_table_turns_by_fcl(rng):
+    part, table = box_part(1.4, 0.1, 0.5), load_cell("kr240").turntable
+    p_WT, refused, tried = np.array([*table.position_m, table.height_m]), 0, 0
+    for _ in range(300):
+        obstacle = {
+            "name": "post", "size_m": rng.uniform(0.02, 0.8, 3).tolist(), "yaw_deg": rng.uniform(-180, 180),
+            "centre_m": (p_WT + rng.uniform(-1.3, 1.3, 3)).tolist(),
+        }  # fmt: skip
+        turning = (
+            (table.diameter_m / 2, p_WT[2] - table.thickness_m, p_WT[2]),
+            (math.hypot(0.7, 0.05), p_WT[2], p_WT[2] + 0.5),
+        )
+        answers = {
+            e: any(collide(r + e, low - e, high + e, p_WT, obstacle) for r, low, high in turning)
+            for e in (-1e-3, 1e-3)
+        }
+        if answers[-1e-3] != answers[1e-3]:
+            continue
+        tried += 1
+        try:
+            check_room(build_cell(settings_from({"obstacles": [obstacle]}), part))
+        except CellError as error:
+            assert answers[1e-3] and error.key == "obstacles.0", obstacle
+            refused += 1
+        else:
+            assert not answers[1e-3], obstacle
+    assert 50 < refused < tried - 50

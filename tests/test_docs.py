@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from scanmotion.cell.config import load_cell
 from scanmotion.cli import app
 from scanmotion.part import box_part, surface_samples
 
@@ -61,6 +62,21 @@ def test_make_targets_exist():
         for line in commands(page):
             if line.startswith("make "):
                 assert re.search(rf"^{line.split()[1]}:", text, flags=re.M), line
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_cells_are_read(page, tmp_path):
+    """Blocks of YAML are cells, whole or in part."""
+    for block in re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.S):
+        (tmp_path / "cell.yaml").write_text(block, encoding="utf-8")
+        load_cell(tmp_path / "cell.yaml")
+
+
+def test_every_room_stands_in_the_design():
+    text = (ROOT / "docs" / "design.md").read_text(encoding="utf-8")
+    for path in (ROOT / "scanmotion").iterdir():
+        name = f"{path.name}/" if path.is_dir() else path.name
+        assert path.name.startswith(("__init__", "__pycache__", "_models")) or f"`{name}`" in text, name
 
 
 def test_cell_reference_is_current():

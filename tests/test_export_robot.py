@@ -120,6 +120,29 @@ def test_long_programmes_are_split_into_pages_that_say_the_same(
 # --- timed ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("to", ["krl", "krl-timed"])
+def test_an_output_is_on_while_the_scanner_scans(to, folder, programmes, tmp_path):
+    files = export_plan(folder, to, out=tmp_path, signal=17)
+    with_signal = read_programme(tmp_path, "scan").folds
+    for fold, plain in zip(with_signal, programmes[to].folds, strict=True):
+        switched = [next(iter(m.values.items())) for m in fold.moves if m.kind == "OUT"]
+        if "scanner on" in fold.title:
+            assert switched == [(17, True), (17, False)]
+            assert fold.moves[0].kind == fold.moves[-1].kind == "OUT"
+        else:
+            assert switched == [] and "scanner off" in fold.title
+        assert [m for m in fold.moves if m.kind != "OUT"] == plain.moves
+    text = "".join(file.read_text() for file in files if file.suffix == ".src")
+    assert text.index("$OUT[17]=FALSE") < text.index("PTP XSTART") and "output 17 is on then" in text
+
+
+@pytest.mark.parametrize("to, signal", [("krl", 0), ("krl-timed", -3), ("krl", 10_000), ("csv", 1)])
+def test_what_is_no_output_is_refused(to, signal, folder, tmp_path):
+    with pytest.raises(InputError, match="--signal"):
+        export_plan(folder, to, out=tmp_path / "out", signal=signal)
+    assert not (tmp_path / "out").exists()
+
+
 def as_trajectory(programme, plan):
     """The motion of a timed programme at the plan's instants: cubic splines at rest at their ends."""
     t, rows, start = plan.trajectory.t, [], 0.0

@@ -1,14 +1,21 @@
 """Damaged part, cell and plan files end in a value or in one line, never in a traceback."""
 
+import copy
+import io
+import json
 import struct
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fake_plan import fake_plan
+from judged_plan import hand_made_files
 
 from scanmotion.cell.config import cell_template, load_cell
-from scanmotion.errors import CellError, PartError
+from scanmotion.errors import CellError, InputError, PartError
+from scanmotion.export import export_plan
+from scanmotion.loaded import load_plan
 from scanmotion.part import Part, part_from_file
 
 V = 100.0 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
@@ -155,6 +162,131 @@ def fuzz_cells(folder: Path, number: int, seed: int) -> int:
             good += 1
             assert 0.1 <= settings.process.standoff_m <= 5.0
     return good
+
+
+JUNK = (
+    None, True, -1, 0, 1e308, 1e-300, 12345678901234567890, "", "x" * 50, "\0", "../x", "<b>", [], {}, [1, 2],
+    {"a": 1}, "nan",
+)  # fmt: skip
+
+
+def changed_json(text: str, rng: np.random.Generator) -> bytes:
+    """JSON with one to three entries removed, doubled, added or replaced, anywhere in the tree."""
+    data = json.loads(text)
+    for _ in range(rng.integers(1, 4)):
+        node, at = data, None
+        while isinstance(node, dict | list) and node and (at is None or rng.random() < 0.7):
+            keys = list(node) if isinstance(node, dict) else range(len(node))
+            at = (node, keys[int(rng.integers(len(keys)))])
+            node = node[at[1]]
+        if at is None:
+            break
+        where, key = at
+        match rng.integers(4):
+            case 0:
+                del where[key]
+            case 1 if isinstance(where, list):
+                where.append(copy.deepcopy(where[key]))
+            case 1:
+                where["another"] = 1
+            case _:
+                where[key] = copy.deepcopy(JUNK[int(rng.integers(len(JUNK)))])
+    return json.dumps(data).encode()
+
+
+def changed_arrays(data: bytes, rng: np.random.Generator) -> bytes:
+    """Arrays of which one is missing, shorter, of another shape or kind, or pickled."""
+    with np.load(io.BytesIO(data)) as found:
+        arrays = {name: found[name] for name in found.files}
+    name = list(arrays)[int(rng.integers(len(arrays)))]
+    a = arrays.pop(name)
+    others = (a[:3], np.zeros((2, 2, 2)), np.array("x"), a.astype("c16"), a.astype(float) * np.nan, a.T)
+    if (n := int(rng.integers(len(others) + 2))) <= len(others):
+        arrays[name] = others[n] if n < len(others) else np.array([{}], dtype=object)
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+@pytest.fixture(scope="module")
+def whole_plan(kr240_cell):
+    """The files of a plan with summary, holes and arrays."""
+    fake, files = fake_plan(kr240_cell), dict(hand_made_files())
+    rounds = [{"step": "global", "viewpoints": 1, "completeness": 0.9}]
+    patch = {"center_mm": [1.0, 2.0, 3.0], "area_mm2": 4.0, "reason": "cannot be seen"}
+    files["summary.json"] = json.dumps(fake.summary | {"rounds": rounds, "unscanned": [patch]})
+    loop = [[0.1, 0.0, 0.1], [0.1, 0.05, 0.1], [0.1, 0.05, 0.2]]
+    hole = {
+        "kind": "common",
+        "boundary": loop,
+        "center": loop[0],
+        "normal": [1.0, 0, 0],
+        "X_OH": np.eye(4).tolist(),
+    }
+    files["holes.json"] = json.dumps(
+        {"units": "m", "holes": [hole | {"extent": [0.1, 0.05, 0.0], "perimeter": 0.2, "area": 0.005}]}
+    )
+    buffer = io.BytesIO()
+    points = np.zeros((9, 3), np.float32)
+    np.savez(
+        buffer, samples=points, sample_normals=points, visible=np.ones(9, bool), seen=np.ones((1, 9), bool)
+    )
+    files["scan.npz"] = buffer.getvalue()
+    return {name: data if isinstance(data, bytes) else data.encode() for name, data in files.items()}
+
+
+def fuzz_plans(whole: dict[str, bytes], folder: Path, number: int, seed: int) -> int:
+    """Reads and exports `number` damaged plans; returns how many could still be read."""
+    rng, good = np.random.default_rng(seed), 0
+    names = [
+        "plan.json",
+        "summary.json",
+        "holes.json",
+        "scan.npz",
+        "cell.json",
+        "trajectory.csv",
+        "robot.urdf",
+    ]
+    plan = folder / "plan"
+    plan.mkdir()
+    for name, content in whole.items():
+        (plan / name).write_bytes(content)
+    for i in range(number):
+        name, formats = names[i % len(names)], ("csv", "viewpoints", "krl")
+        data = whole[name]
+        if rng.random() < 0.3 or name.endswith((".csv", ".urdf")):
+            data = damaged(data, rng)
+        else:
+            data = changed_arrays(data, rng) if name == "scan.npz" else changed_json(data.decode(), rng)
+        (plan / name).write_bytes(data)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                load_plan(plan)
+                export_plan(plan, formats[i % 3], out=folder / "out")
+        except InputError as error:
+            one_line(error)
+        else:
+            good += 1
+        (plan / name).write_bytes(whole[name])
+    return good
+
+
+def test_the_whole_plan_is_read(whole_plan, tmp_path):
+    for name, content in whole_plan.items():
+        (tmp_path / name).write_bytes(content)
+    read = load_plan(tmp_path)
+    assert len(read.holes.holes) == 1 and read.seen is not None and read.seen.all()
+
+
+def test_damaged_plans(whole_plan, tmp_path):
+    assert 0 < fuzz_plans(whole_plan, tmp_path, 70, seed=3) < 70
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_many_damaged_plans(whole_plan, tmp_path, seed):
+    fuzz_plans(whole_plan, tmp_path, 2000, seed=300 + seed)
 
 
 def test_undamaged_files_load(tmp_path):

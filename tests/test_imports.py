@@ -11,22 +11,24 @@ ROOT = Path(__file__).resolve().parents[1] / "scanmotion"
 FILES = sorted(p for p in ROOT.rglob("*.py") if "_models" not in p.parts)
 
 NOUNS = {"errors", "compiled", "scanner", "partfile", "part", "trajectory"}
-LEAVES = {"verify", "judge", "export", "report", "show", "cli", "comparison", "figures"}
+LEAVES = {"__main__", "verify", "judge", "export", "report", "show", "cli", "comparison", "figures"}
 MAY_IMPORT = {
     "viewpoints": NOUNS | {"viewpoints"},
     "cell": NOUNS | {"cell"},
     "scan": NOUNS | {"scan", "viewpoints"},
     "motion": NOUNS | {"motion", "cell", "viewpoints"},
     "planfile": NOUNS | {"viewpoints"},
+    "summaryfile": NOUNS | {"planfile"},
     "judge": NOUNS | {"judge", "planfile"},
     "verify": NOUNS | {"judge", "planfile"},
     "export": NOUNS | {"export", "planfile", "viewpoints"},
     "search": NOUNS | {"viewpoints", "scan"},
     "pipeline": NOUNS
     | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "outcome", "search"},
-    "loaded": NOUNS | {"viewpoints", "cell", "planfile"},
+    "loaded": NOUNS | {"viewpoints", "cell", "planfile", "summaryfile"},
     "replan": NOUNS
     | {"cell", "scan", "motion", "planfile", "legs", "outcome", "pipeline", "loaded"}
+    | {"summaryfile"}
     | {"viewpoints"},
     "budget": NOUNS | {"viewpoints", "cell", "scan", "motion"},
     "legs": NOUNS | {"viewpoints", "cell", "motion"},

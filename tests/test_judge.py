@@ -638,6 +638,24 @@ def test_a_part_without_triangles_is_refused(written, tmp_path):
     refused(written, tmp_path, "part.ply")
 
 
+@pytest.mark.parametrize("gap, touches", [(0.004, True), (0.024, True), (0.027, False)])
+def test_a_pillar_that_the_turning_part_hits_is_found(written, tmp_path, gap, touches):
+    """The part is 0.2 x 0.15 m: standing still its side is 0.1 m off the axis, its corners draw 0.125 m."""
+    pillar = np.eye(4)
+    pillar[:3, 3] = np.array(written.plan["X_WT"])[:3, 3] + [0.1 + gap + 0.02, 0.0, 0.05]
+    written.plan["bodies"].append(
+        {
+            "name": "pillar",
+            "frame": "world",
+            "shape": "box",
+            "size_m": [0.04, 0.002, 0.08],
+            "X": pillar.tolist(),
+        }
+    )
+    found = verify(written.write(tmp_path / "plan"))
+    assert any(f.code == "collision" and f.where == "part, pillar" for f in found) == touches
+
+
 def test_bodies_of_impossible_size_are_refused(written, tmp_path):
     for size in ([0.1, -0.1, 0.1], [0.1, 0.1], [0.1, 0.0, 0.1]):
         written.plan["bodies"][0]["size_m"] = size

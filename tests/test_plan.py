@@ -50,8 +50,8 @@ def settings():
 
 
 @pytest.fixture(scope="module")
-def planned(settings):
-    return plan(pitted(), settings, options=PlanOptions(seed=5, **TINY))
+def planned(pitted_plan):
+    return pitted_plan
 
 
 @pytest.fixture(scope="module")

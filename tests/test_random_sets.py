@@ -80,7 +80,7 @@ def check(cell, clearance, seed):
 
 
 def test_random_sets_are_planned_or_say_why_not(cell, clearance):
-    results = np.array([check(cell, clearance, seed) for seed in range(40)])
+    results = np.array([check(cell, clearance, seed) for seed in range(12)])
     # Were nearly all out of reach, little would have been tried.
     assert results[:, 0].sum() > 0.5 * results[:, 1].sum()
     assert (results[:, 0] < results[:, 1]).any()
@@ -88,16 +88,19 @@ def test_random_sets_are_planned_or_say_why_not(cell, clearance):
 
 @pytest.mark.slow
 def test_a_thousand_random_sets(cell, clearance):
-    for seed in range(40, 1000):
+    for seed in range(12, 1000):
         check(cell, clearance, seed)
 
 
-def test_the_paper_s_order_takes_the_same_sets(cell, clearance):
-    for seed in range(6):
-        views = random_set(np.random.default_rng(seed))
-        leg = leg_from(cell, clearance, views, cell.home, mode="paper", rng=np.random.default_rng(seed))
-        served = [v for stop in leg.tour.stops for v in stop.viewpoints]
-        assert sorted(served + [v for v, _ in leg.unreachable]) == sorted(v.id for v in views)
+# In the sets 1 and 3 that order leads through ways that are planned for twenty seconds each.
+@pytest.mark.parametrize(
+    "seed", [n if n not in (1, 3) else pytest.param(n, marks=pytest.mark.slow) for n in range(8)]
+)
+def test_the_paper_s_order_takes_the_same_sets(cell, clearance, seed):
+    views = random_set(np.random.default_rng(seed))
+    leg = leg_from(cell, clearance, views, cell.home, mode="paper", rng=np.random.default_rng(seed))
+    served = [v for stop in leg.tour.stops for v in stop.viewpoints]
+    assert sorted(served + [v for v, _ in leg.unreachable]) == sorted(v.id for v in views)
 
 
 def test_an_empty_set_is_an_empty_leg(cell, clearance):

@@ -1,18 +1,18 @@
 """Re-planning: executed operations stay sample by sample, the rest is planned from there; all is judged."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
-from test_plan import TINY, pitted
+from test_plan import TINY
 from typer.testing import CliRunner
 
-from scanmotion.cell.config import load_cell
 from scanmotion.cli.app import app
 from scanmotion.errors import InputError, PlanFileError
 from scanmotion.judge import verify
 from scanmotion.loaded import load_plan
-from scanmotion.pipeline import PlanOptions, plan
+from scanmotion.pipeline import PlanOptions
 from scanmotion.planfile import read_json, read_plan, read_trajectory
 from scanmotion.replan import FAILED, last_operation, replan
 
@@ -20,10 +20,16 @@ OPTIONS = PlanOptions(**TINY)
 
 
 @pytest.fixture(scope="module")
-def old(tmp_path_factory):
+def old(pitted_plan, tmp_path_factory):
     folder = tmp_path_factory.mktemp("old") / "plan"
-    plan(pitted(), load_cell("kr240"), options=PlanOptions(seed=5, **TINY)).save(folder)
+    pitted_plan.save(folder)
     return folder
+
+
+@pytest.fixture(scope="module")
+def again(old):
+    """Planned again from an interruption, once for all who ask."""
+    return cache(lambda done: replan(old, done=done, options=OPTIONS))
 
 
 @pytest.fixture(scope="module")
@@ -49,9 +55,9 @@ def check_kept(old, new, count):
 
 
 @pytest.mark.parametrize("place", [0, 1, -1])
-def test_what_is_done_stays_and_the_rest_is_planned(old, order, tmp_path, place):
+def test_what_is_done_stays_and_the_rest_is_planned(old, again, order, tmp_path, place):
     done = order[place]
-    made = replan(old, done=done, options=OPTIONS)
+    made = again(done)
     assert made.save(tmp_path / "new") == [] == verify(tmp_path / "new")
     assert made.trajectory is not None
     count = last_operation(made.trajectory.operations, done) + 1
@@ -61,8 +67,8 @@ def test_what_is_done_stays_and_the_rest_is_planned(old, order, tmp_path, place)
     assert made.viewpoints and {v.id for v in made.viewpoints} == {v.id for v in load_plan(old).viewpoints}
 
 
-def test_the_whole_surface_is_counted_as_before(old, order, tmp_path):
-    made = replan(old, done=order[1], options=OPTIONS)
+def test_the_whole_surface_is_counted_as_before(old, again, order):
+    made = again(order[1])
     before, after = read_json(old, "summary.json"), json.loads(json.dumps(made.summary))
     # The surface samples are the same, and so is what revolutions see from the same places.
     assert after["completeness"]["after_global"] == pytest.approx(
@@ -100,15 +106,15 @@ def test_nothing_done_is_a_plan_from_home(old, order, tmp_path):
     assert sorted(served(tmp_path / "new")) == sorted(order[:-1])
 
 
-def test_the_same_interruption_gives_the_same_plan(old, order):
-    first, second = (replan(old, done=order[1], options=OPTIONS) for _ in range(2))
+def test_the_same_interruption_gives_the_same_plan(old, again, order):
+    first, second = again(order[1]), replan(old, done=order[1], options=OPTIONS)
     assert first.trajectory is not None and second.trajectory is not None
     assert np.array_equal(first.trajectory.q, second.trajectory.q)
 
 
-def test_it_can_be_interrupted_twice_into_the_same_folder(old, order, tmp_path):
+def test_it_can_be_interrupted_twice_into_the_same_folder(again, order, tmp_path):
     folder = tmp_path / "again"
-    replan(old, done=order[0], options=OPTIONS).save(folder)
+    again(order[0]).save(folder)
     then = served(folder)
     assert replan(folder, done=then[1], options=OPTIONS).save(folder) == []
     assert served(folder)[:2] == then[:2] and sorted(served(folder)) == sorted(order)

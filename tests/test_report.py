@@ -8,6 +8,7 @@ import pytest
 from browser import screenshot
 from fake_plan import fake_hole, fake_plan
 
+import scanmotion.report as mut
 from scanmotion.figures import palette
 from scanmotion.figures.charts import tcp_speed
 from scanmotion.figures.maps import causes_of
@@ -32,6 +33,15 @@ def plan(kr240_cell):
 @pytest.fixture(scope="module")
 def page(plan):
     return report_html(plan)
+
+
+@pytest.fixture
+def text_of(monkeypatch):
+    """Reads the report of a plan, whose pictures need not be drawn for that."""
+    monkeypatch.setattr(mut, "image", lambda figure, what: f'<img alt="{what}" src="data:image/png;base64,">')
+    for name in ("coverage", "hole", "reach", "cell", "joint", "tcp", "time", "curve"):
+        monkeypatch.setattr(mut, f"{name}_figure", lambda *a, **k: None)
+    return lambda plan: " ".join(Reader(report_html(plan)).texts)
 
 
 class Reader(HTMLParser):
@@ -83,13 +93,13 @@ def test_report_says_what_the_plan_holds(page, plan):
     assert "standoff_m" in text and "scanmotion" in text
 
 
-def test_report_warns_of_findings_and_lateness(plan):
+def test_report_warns_of_findings_and_lateness(plan, text_of):
     late = dict(plan.summary, budget={"limit_s": 10.0, "ok": False}, findings=["A3 <too> fast"])
-    text = " ".join(Reader(report_html(replace_summary(plan, late))).texts)
+    text = text_of(replace_summary(plan, late))
     assert "Do not run" in text and "over its budget" in text and "A3 <too> fast" in text
 
 
-def test_report_tells_each_round_and_what_stays_unscanned(plan):
+def test_report_tells_each_round_and_what_stays_unscanned(plan, text_of):
     import copy
     from types import SimpleNamespace
 
@@ -124,12 +134,12 @@ def test_report_is_deterministic(plan, page):
     assert report_html(plan) == page
 
 
-def test_report_without_motion_or_truth(plan):
+def test_report_without_motion_or_truth(plan, text_of):
     import copy
 
     bare = copy.copy(plan)
     bare.trajectory, bare.samples, bare.visible, bare.holes = None, None, None, None
-    text = " ".join(Reader(report_html(bare)).texts)
+    text = text_of(bare)
     assert "No viewpoint could be served" in text and "nothing can be predicted" in text
 
 

@@ -17,9 +17,10 @@ from hypothesis import strategies as st
 
 import scanmotion.show as mut
 from scanmotion.cell.kinematics import flange_poses
-from scanmotion.figures import shapes
+from scanmotion.figures import shapes, sight
 from scanmotion.part import box_part, carving
 from scanmotion.scanner import Scanner
+from scanmotion.viewpoints.coverage import scene_from, sees
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +94,27 @@ def test_a_fine_part_is_thinned():
     assert areas(mesh).sum() == pytest.approx(full, rel=0.05)
 
 
+def test_surface_appears_when_a_frame_first_sees_it(plan):
+    ends, first = sight.first_sight(plan)
+    assert (np.diff(ends) > 0).all() and len(ends) == 8 + 1  # eight seconds of turning, one short dwell
+    np.testing.assert_array_equal(first >= 0, plan.seen)
+    # Nothing that only the local round has seen appears in the global step.
+    only_local = plan.seen & ~plan.rounds[0].seen
+    t, X_OS = sight._poses(plan)
+    part, table = plan.part, plan.cell.settings.turntable
+    scene = scene_from(part.vertices, part.triangles, table_radius=table.diameter_m / 2, table_z=0.0)
+    points, normals = plan.samples.points, plan.samples.normals
+    spans = sight._slices(plan)[1]
+    before = np.zeros(len(points), bool)
+    for k, span in enumerate(spans):
+        now = sees(scene, Scanner(), X_OS[sight._frames(t, *span)], points, normals).any(axis=0)
+        fresh = now & ~before & plan.seen
+        assert (first[fresh] == k).all()
+        before |= now
+    never = plan.seen & ~before
+    assert (first[never & only_local] == 8).all() and (first[never & ~only_local] == 7).all()
+
+
 def test_the_arm_drawn_stands_where_kinematics_says(kr240_cell, rng):
     cell = kr240_cell
     low, high = np.maximum(cell.q_min, -4), np.minimum(cell.q_max, 4)
@@ -146,8 +168,16 @@ def test_the_page_in_a_browser(shot):
     assert orange.mean() > 0.01, "no robot in sight"
 
 
-def test_the_table_turns_in_the_browser(page, shot):
+def seen_blue(image):
+    """Pixels of the part in the colour of what the global step has seen; the legend left out."""
+    r, g, b = image[:, 400:].astype(int).transpose(2, 0, 1)
+    return ((b > r + 60) & (b > g + 25) & (g > r + 20)).sum()
+
+
+def test_the_table_turns_and_the_part_is_coloured_as_it_is_seen(page, shot):
     early, _ = screenshot(page, fragment="#t=3.2")
+    late, _ = screenshot(page, fragment="#t=13.4")
+    assert seen_blue(early) < 0.2 * seen_blue(late) and seen_blue(late) > 500
     # Only the right part of the picture: the legend on the left shows the time.
     differs = np.abs(early[:, 400:].astype(int) - shot[0][:, 400:]).max(axis=2) > 40
     assert differs.sum() > 200

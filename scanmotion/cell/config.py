@@ -27,14 +27,20 @@ Offset = Annotated[Number, Field(ge=-5.0, le=5.0)]
 """Error of a place [mm]."""
 Turn = Annotated[Number, Field(ge=-2.0, le=2.0)]
 """Error of an orientation [deg]."""
+Side = Annotated[Number, Field(gt=0.0, le=100.0)]
+"""Side of a box [m]."""
+
+
+OWN_NAMES = ("floor", "table", "table_column", "pedestal", "part", "scanner", "fixture_plate")
+"""Names of solids that every cell has."""
 
 
 class _Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-def _length(low: float, high: float, default: float) -> Any:
-    return Field(default=default, ge=low, le=high, json_schema_extra={"unit": "m"})
+def _length(low: float, high: float, default: float, meaning: str) -> Any:
+    return Field(default=default, ge=low, le=high, description=meaning, json_schema_extra={"unit": "m"})
 
 
 class RobotSettings(_Settings):
@@ -80,10 +86,10 @@ class TurntableSettings(_Settings):
 
     position_m: tuple[Number, Number] = Field((2.2, 0.0), description="axis in the world, x and y")
     height_m: Number = Field(0.70, ge=0.0, le=3.0, description="top above the floor")
-    diameter_m: Number = Field(1.52, gt=0.05, le=10.0)
-    thickness_m: Number = Field(0.06, gt=0.0, le=1.0)
+    diameter_m: Number = Field(1.52, gt=0.05, le=10.0, description="of the top")
+    thickness_m: Number = Field(0.06, gt=0.0, le=1.0, description="of the top")
     speed_rpm: Number = Field(10.0, gt=0.0, le=120.0, description="turns per minute")
-    acceleration_rad_s2: Number = Field(0.5, gt=0.0, le=50.0)
+    acceleration_rad_s2: Number = Field(0.5, gt=0.0, le=50.0, description="greatest")
     jerk_time_s: Number = Field(0.1, gt=0.0, le=5.0, description="jerk limit = acceleration / this time")
     range_deg: tuple[Number, Number] = Field((-720.0, 720.0), description="least and greatest angle")
     endless: bool = Field(False, description="the table may turn on for ever; range_deg is then not used")
@@ -92,17 +98,17 @@ class TurntableSettings(_Settings):
 class PedestalSettings(_Settings):
     """A block between table and object; height 0 for none."""
 
-    height_m: Number = Field(0.0, ge=0.0, le=2.0)
-    diameter_m: Number = Field(0.3, gt=0.0, le=5.0)
+    height_m: Number = Field(0.0, ge=0.0, le=2.0, description="above the table; 0 for none")
+    diameter_m: Number = Field(0.3, gt=0.0, le=5.0, description="it is round")
 
 
 class ObstacleSettings(_Settings):
     """A box that stands in the cell."""
 
-    name: str
-    centre_m: tuple[Number, Number, Number]
-    size_m: tuple[Number, Number, Number]
-    yaw_deg: Number = 0.0
+    name: str = Field(pattern=r"^[\w .-]{1,60}$", description="what findings and causes call it")
+    centre_m: tuple[Number, Number, Number] = Field(description="of the box, in the world")
+    size_m: tuple[Side, Side, Side] = Field(description="along its own x, y and z")
+    yaw_deg: Number = Field(0.0, description="turn of the box about the vertical")
 
 
 class ScannerSettings(_Settings):
@@ -110,7 +116,9 @@ class ScannerSettings(_Settings):
 
     field_deg: tuple[Number, Number] = Field((30.0, 21.0), description="field of view, long and short side")
     range_m: tuple[Number, Number] = Field((0.4, 1.0), description="least and greatest working distance")
-    max_incidence_deg: Number = Field(70.0, gt=0.0, lt=90.0)
+    max_incidence_deg: Number = Field(
+        70.0, gt=0.0, lt=90.0, description="greatest angle between a ray and the surface's normal"
+    )
     baseline_m: Number = Field(0.150, ge=0.0, le=2.0, description="camera to projector, along scanner x")
     rays: tuple[int, int] = Field((424, 296), description="measured pixels of a frame")
     sigma_mm: Number = Field(0.05, ge=0.0, le=10.0, description="noise along the ray at least distance")
@@ -120,15 +128,15 @@ class ScannerSettings(_Settings):
 class ProcessSettings(_Settings):
     """Table 2 of the paper, and what the plan has to keep."""
 
-    standoff_m: Number = _length(0.1, 5.0, 0.7)
+    standoff_m: Number = _length(0.1, 5.0, 0.7, "nominal distance of the scanner to the surface")
     scan_speed_m_s: Number = Field(0.1, gt=0.0, le=2.0, description="scanner relative to the part")
     transit_speed_m_s: Number = Field(0.1, gt=0.0, le=5.0, description="scanner in the world, between views")
     fps: Number = Field(10.0, gt=0.0, le=1000.0, description="frames captured per second")
     dwell_s: Number = Field(0.3, ge=0.0, le=60.0, description="how long the scanner stands at a viewpoint")
-    clearance_m: Number = _length(0.0, 0.5, 0.03)
-    self_clearance_m: Number = _length(0.0, 0.2, 0.005)
+    clearance_m: Number = _length(0.0, 0.5, 0.03, "arm and scanner to part, table and surroundings")
+    self_clearance_m: Number = _length(0.0, 0.2, 0.005, "links and scanner to one another")
     budget_s: Number = Field(152.0, gt=0.0, le=1e6, description="time allowed for the whole scan")
-    max_height_m: Number = _length(0.05, 5.0, 1.2)
+    max_height_m: Number = _length(0.05, 5.0, 1.2, "of a part that the cell takes")
 
 
 class TwinSettings(_Settings):
@@ -165,7 +173,7 @@ class CellSettings(_Settings):
     tool: ToolSettings = ToolSettings.model_validate({})
     turntable: TurntableSettings = TurntableSettings.model_validate({})
     pedestal: PedestalSettings = PedestalSettings.model_validate({})
-    obstacles: tuple[ObstacleSettings, ...] = ()
+    obstacles: tuple[ObstacleSettings, ...] = Field((), max_length=200)
     scanner: ScannerSettings = ScannerSettings.model_validate({})
     process: ProcessSettings = ProcessSettings.model_validate({})
     twin: TwinSettings = TwinSettings.model_validate({})
@@ -188,6 +196,12 @@ class CellSettings(_Settings):
             raise ValueError("scanner.field_deg: angles between 0 and 120 deg are expected")
         if min(self.scanner.rays) < 8 or max(self.scanner.rays) > 8192:
             raise ValueError("scanner.rays: between 8 and 8192 pixels are expected")
+        names = [obstacle.name for obstacle in self.obstacles]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"obstacles: the name {name!r} is there twice")
+            if name in OWN_NAMES:
+                raise ValueError(f"obstacles: {name!r} is a name of the cell's own: {', '.join(OWN_NAMES)}")
         for key in ("home_deg", "acceleration"):
             value = getattr(self.robot, key)
             if isinstance(value, tuple) and len(value) != 6:
@@ -222,6 +236,18 @@ def _metres(millimetres: float) -> float:
     return millimetres / 1000
 
 
+class _StrictLoader(yaml.SafeLoader):
+    """YAML without code, in which no key may stand twice: the last one would silently win."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        keys = [k.value for k, _ in node.value if isinstance(k, yaml.ScalarNode)]
+        for key in keys:
+            if keys.count(key) > 1:
+                line = node.start_mark.line + 1
+                raise yaml.YAMLError(f"the key {key!r} is there twice in the mapping from line {line} on")
+        return super().construct_mapping(node, deep=deep)
+
+
 def builtin_cells() -> tuple[str, ...]:
     """Names of the cells that come with the package."""
     return tuple(sorted(p.stem for p in (models_dir() / "cells").glob("*.yaml")))
@@ -245,7 +271,7 @@ def load_cell(name_or_path: str | Path) -> CellSettings:
     try:
         if path.stat().st_size > 1 << 20:
             raise CellError(f"{text}: more than 1 MiB is not a cell")
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         line = " ".join(str(error).split())[:160]
         raise CellError(f"{text}: is not readable YAML ({line})") from None
@@ -280,13 +306,22 @@ def _message(first: Any, key: str, data: dict) -> str:
     value = first.get("input")
     if kind in ("greater_than_equal", "less_than_equal", "greater_than", "less_than"):
         bound = next(iter(context.values()))
+        if value == bound:
+            return f"{value!r} itself is not allowed"
         side = "below" if kind.startswith("greater") else "above"
         suffix = key.rstrip(".0123456789").rsplit("_", 1)[-1]
         unit = {"m": "metres", "mm": "millimetres", "deg": "degrees"}.get(suffix)
         hint = f"; is it in {unit}?" if unit else ""
         return f"{value!r} is {side} the {'least' if side == 'below' else 'greatest'} {bound:g} allowed{hint}"
+    if kind == "string_pattern_mismatch":
+        return f"{str(value)[:40]!r}: letters, digits, spaces, '.', '_' and '-' are expected"
     text = first["msg"].removeprefix("Value error, ")
     return " ".join(text.split())
+
+
+_OBSTACLE = """# Boxes that stand in the cell, for instance
+# obstacles:
+#   - {name: pillar, centre_m: [1.2, 1.4, 1.5], size_m: [0.3, 0.3, 3.0], yaw_deg: 20}"""
 
 
 def cell_template(name: str = "kr240") -> str:
@@ -302,6 +337,7 @@ def cell_template(name: str = "kr240") -> str:
             continue
         if not isinstance(value, BaseModel):
             plain = [v.model_dump() for v in value] if isinstance(value, tuple) else value
+            lines += [_OBSTACLE] if key == "obstacles" else []
             lines += [f"{key}: {_yaml(plain)}", ""]
             continue
         lines += [f"# {' '.join((type(value).__doc__ or '').split())}", f"{key}:"]

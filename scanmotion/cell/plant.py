@@ -67,6 +67,35 @@ def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
     return Cell(**frame, home=home)
 
 
+def check_room(cell: Cell) -> None:
+    """Refuses an obstacle in which the table turns, or what stands on it.
+
+    What turns is taken as round: the table's top, and the circle that the part's farthest point draws.
+
+    Raises:
+        CellError: with the obstacle.
+    """
+    table, p_WT = cell.settings.turntable, cell.X_WT[:3, 3]
+    turning = [("the turntable", table.diameter_m / 2, p_WT[2] - table.thickness_m, p_WT[2])]
+    if cell.part is not None:
+        p_TO = cell.part.vertices @ cell.X_TO[:3, :3].T + cell.X_TO[:3, 3]
+        radius, z = float(np.hypot(p_TO[:, 0], p_TO[:, 1]).max()), p_TO[:, 2] + p_WT[2]
+        turning.append(("the part as it turns", radius, float(z.min()), float(z.max())))
+    for number, obstacle in enumerate(cell.settings.obstacles):
+        X = pose(obstacle.centre_m, np.deg2rad(obstacle.yaw_deg))
+        half = np.array(obstacle.size_m) / 2
+        axis = np.abs(X[:3, :3].T @ (p_WT - X[:3, 3]))
+        away = float(np.hypot(*np.maximum(axis[:2] - half[:2], 0.0)))
+        for what, radius, low, high in turning:
+            height = min(high, X[2, 3] + half[2]) - max(low, X[2, 3] - half[2])
+            if away < radius - 1e-6 and height > 1e-6:
+                raise CellError(
+                    f"{obstacle.name} stands in {what}: {away * 1e3:.0f} mm from the axis, "
+                    f"{radius * 1e3:.0f} mm are swept",
+                    key=f"obstacles.{number}",
+                )
+
+
 def tool_pose(settings: CellSettings) -> np.ndarray:
     """X_FS: the V-fixture carries the scanner `arm_m` before the flange, its axis tilted about flange y.
 

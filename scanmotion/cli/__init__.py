@@ -1,6 +1,6 @@
 """The command line: `scanmotion COMMAND`; nothing heavy is imported before a command runs."""
 
-from scanmotion.cli.app import app
+from scanmotion.cli.app import app, note_interrupts
 from scanmotion.cli.arms import reach, robots
 from scanmotion.cli.cells import cell_app
 from scanmotion.cli.comparing import compare
@@ -29,5 +29,6 @@ app.add_typer(cell_app, name="cell", rich_help_panel="Robots and cells")
 
 
 def main() -> None:
-    """The entry point of the `scanmotion` script."""
-    app()
+    """Runs the command line of this process and exits with its status."""
+    note_interrupts()
+    app(prog_name="scanmotion")

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,6 +17,25 @@ OK, CHECK_FAILED, BAD_INPUT, FAULT, INTERRUPTED = 0, 1, 2, 3, 130
 """Exit statuses: passes; a plan was made but a check failed; bad input; a fault of ours; Ctrl-C."""
 
 Progress = Callable[[str, float], None]
+
+_interrupted: list[bool] = []
+"""Holds something once Ctrl-C was pressed."""
+
+
+def note_interrupts() -> None:
+    """Remembers Ctrl-C, for libraries that swallow the exception or make another one of it.
+
+    Compiled callbacks drop it with a note on stderr; an import that it meets fails with an ImportError.
+    """
+
+    def note(number: int, frame: Any) -> None:
+        _interrupted.append(True)
+        raise KeyboardInterrupt
+
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, note)
+        tell = sys.unraisablehook
+        sys.unraisablehook = lambda told: None if _interrupted else tell(told)
 
 
 class Commands(TyperGroup):
@@ -34,19 +54,23 @@ class Commands(TyperGroup):
     def _status(self, *args: Any, **extra: Any) -> int:
         try:
             return super().main(*args, standalone_mode=False, **extra) or OK
-        except ScanMotionError as error:
+        except Exception as error:
+            return INTERRUPTED if _interrupted else self._answer(error)
+
+    def _answer(self, error: Exception) -> int:
+        """What is said of an error, and its status."""
+        if isinstance(error, ScanMotionError):
             return refuse(str(error))
-        except BrokenPipeError:
+        if isinstance(error, BrokenPipeError):
             # The reader of our output went away (`| head`): not a fault, and nothing more can be written.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return OK
-        except OSError as error:
+        if isinstance(error, OSError):
             name = f"{error.filename}: " if error.filename else ""
             return refuse(f"{name}{error.strerror or error}")
-        except MemoryError:
+        if isinstance(error, MemoryError):
             return refuse("not enough memory for this input")
-        except Exception as error:
-            return self._usage(error)
+        return self._usage(error)
 
     def _usage(self, error: Exception) -> int:
         """Mistakes in the command line itself; what is none is a fault of ours and is raised."""
@@ -106,11 +130,17 @@ def say_json(document: Any) -> None:
     typer.echo(json.dumps(document, indent=2, allow_nan=False))
 
 
+def _heed(stage: str, fraction: float) -> None:
+    """Ends the work where an earlier Ctrl-C was swallowed."""
+    if _interrupted:
+        raise KeyboardInterrupt
+
+
 @contextmanager
 def progress_bar(*, quiet: bool) -> Iterator[Progress]:
     """A progress callback that draws on stderr; it draws nothing where nobody watches."""
     if quiet or not sys.stderr.isatty():
-        yield lambda stage, fraction: None
+        yield _heed
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -120,6 +150,7 @@ def progress_bar(*, quiet: bool) -> Iterator[Progress]:
         task = bars.add_task("start", total=1.0)
 
         def report(stage: str, fraction: float) -> None:
+            _heed(stage, fraction)
             bars.update(task, description=stage, completed=min(max(fraction, 0.0), 1.0))
 
         yield report

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from scanmotion.cli.app import OK, progress_bar
-from scanmotion.cli.inputs import OUT, Quiet, Units, check_suffix
+from scanmotion.cli.inputs import OUT, Quiet, Units, check_file, check_suffix
 from scanmotion.errors import InputError
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".stl", ".obj")
@@ -20,15 +20,16 @@ def fuse(
         Path | None,
         typer.Option("--poses", help='JSON: {"scans": {FILE: {"T_object_scan": 4 x 4}}}, file units.'),
     ] = None,
-    voxel: Annotated[float, typer.Option("--voxel", help="Edge of the cloud's voxels [mm].")] = 2.0,
+    voxel: Annotated[float, typer.Option("--voxel", help="Edge of the cloud's voxels, in mm.")] = 2.0,
     align: Annotated[bool, typer.Option(help="Register the scans to one another first.")] = True,
     surface: Annotated[bool, typer.Option("--surface", help="Write a triangle mesh, not a cloud.")] = False,
     quiet: Quiet = False,
 ) -> int:
     """Merge measured scans into one cloud, or one surface trimmed to the data.
 
-    Scans without poses are taken to be in the table's frame already. A registration that cannot be trusted
-    leaves a scan where its pose puts it, and says so.
+    Scans without poses are taken to be in the table's frame already.
+
+    A registration that cannot be trusted leaves a scan where its pose puts it, and says so.
     """
     check_suffix("--out", out, ".ply")
     if not 0.05 <= voxel <= 100.0:
@@ -40,6 +41,8 @@ def fuse(
         from scanmotion.scan.files import fuse_measured
 
         fused = fuse_measured(measured, voxel=voxel * 1e-3, registered=align, progress=progress)
+        if not len(fused.cloud.points):
+            raise InputError("no point of the scans has neighbours enough to be kept; is --voxel too small?")
         made = write_surface(out, fused.cloud) if surface else write_cloud(out, fused.cloud)
     if not quiet:
         for name, found in zip(fused.names[1:], fused.registrations[1:], strict=False):
@@ -75,19 +78,27 @@ def read_poses(path: Path, files: list[Path]) -> dict[str, Any]:
 
     import numpy as np
 
+    check_file("--poses", path)
     try:
         scans = json.loads(path.read_text(encoding="utf-8"))["scans"]
         records = {file.name: dict(scans[file.name]) for file in files}
         for record in records.values():
-            record["T_object_scan"] = np.array(record["T_object_scan"], dtype=float).reshape(4, 4)
+            for key, shape in (("T_object_scan", (4, 4)), ("nominal_view_direction", (3,))):
+                if key == "T_object_scan" or key in record:
+                    record[key] = np.array(record[key], dtype=float).reshape(shape)
     except (ValueError, TypeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: is not a pose file ({str(error)[:120]})") from None
     except KeyError as error:
         raise InputError(f"{path}: holds no {error}") from None
     for name, record in records.items():
-        R = record["T_object_scan"][:3, :3]
-        if not np.allclose(R @ R.T, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0:
+        X = record["T_object_scan"]
+        R, p, last = X[:3, :3], X[:3, 3], X[3]
+        rigid = np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0
+        if not rigid or not np.allclose(last, [0, 0, 0, 1]) or not (np.abs(p) < 1e9).all():
             raise InputError(f"{path}: the pose of {name} is no rigid motion")
+        direction = record.get("nominal_view_direction", np.ones(3))
+        if not np.isfinite(direction).all() or not np.linalg.norm(direction) > 1e-9:
+            raise InputError(f"{path}: the viewing direction of {name} is no direction")
     return records
 
 
@@ -114,7 +125,7 @@ def measured_scans(files: list[Path], poses: dict[str, Any], units: str, progres
             X[:3, 3] *= UNITS[units]
             towards = -p.mean(axis=0)
             if "nominal_view_direction" in record:
-                towards = -X[:3, :3].T @ np.array(record["nominal_view_direction"], dtype=float)
+                towards = -X[:3, :3].T @ record["nominal_view_direction"]
         length = float(np.linalg.norm(towards))
         direction = towards / length if length > 1e-9 else None
         scans.append(MeasuredScan(name=file.name, points=p, X=X, towards=direction))

@@ -85,9 +85,16 @@ def cell_from(robot: str | None, cell: Path | None) -> "CellSettings":
 
 
 def box_from(box: tuple[float, float, float]) -> "Part":
-    """A box part from sides in mm."""
+    """A box part from sides in mm.
+
+    Raises:
+        InputError: a side is not a number between 1 mm and 100 m.
+    """
     from scanmotion.part import box_part
 
+    if not all(1.0 <= side <= 1e5 for side in box):
+        sides = " x ".join(f"{side:g}" for side in box)
+        raise InputError(f"--box: {sides} mm; sides between 1 mm and 100 m are expected")
     return box_part(*(side * 1e-3 for side in box))
 
 
@@ -104,6 +111,11 @@ def part_and_source(
     from scanmotion.part import carving, part_from_file
 
     given = only_one(part=part, box=box, scan=scan)
+    strange = {"units": units != "mm", "up": up != "+z", "place": bool(place)}
+    if part is None and scan is None and any(strange.values()):
+        name = next(name for name, set_ in strange.items() if set_)
+        what = "--box is in mm, z up" if box is not None else "it is about a file"
+        raise InputError(f"--{name}: only together with --part or --scan; {what}")
     if box is not None:
         return box_from(box), "box"
     if scan is not None:
@@ -131,6 +143,16 @@ def check_out_folder(out: Path) -> None:
         parent = parent.parent
     if not parent.is_dir() or not os.access(parent, os.W_OK):
         raise InputError(f"--out {out}: cannot write in {parent}")
+
+
+def check_file(option: str, path: Path) -> None:
+    """Refuses what is no plain file: reading a pipe or a device might never end.
+
+    Raises:
+        InputError: missing, or not a file.
+    """
+    if not path.is_file():
+        raise InputError(f"{option} {path}: {'is not a file' if path.exists() else 'no such file'}")
 
 
 def check_known(option: str, value: str, known: tuple[str, ...]) -> None:

@@ -80,9 +80,13 @@ def export(
     to: Annotated[str, typer.Option("--to", help="csv, json, viewpoints, krl, krl-timed, ros or mcap.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="Where to write [default: the plan's folder].", rich_help_panel=OUT),
+        typer.Option("--out", help="Where to write; by default the plan's folder.", rich_help_panel=OUT),
     ] = None,
     name: Annotated[str, typer.Option("--name", help="Name of the robot programme.")] = "scan",
+    signal: Annotated[
+        int | None,
+        typer.Option("--signal", help="KUKA: the digital output that is on while the scanner scans."),
+    ] = None,
     quiet: Quiet = False,
 ) -> int:
     """Write a plan for a controller or another program."""
@@ -90,7 +94,7 @@ def export(
 
     if out is not None and out.exists() and not out.is_dir():
         raise InputError(f"--out {out}: is not a folder")
-    for path in export_plan(folder, to, out=out, name=name):
+    for path in export_plan(folder, to, out=out, name=name, signal=signal):
         if not quiet:
             typer.echo(str(path))
     return OK

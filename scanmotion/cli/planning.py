@@ -107,8 +107,9 @@ def plan(
 ) -> int:
     """Plan a scan: viewpoints, order, motion, checks and files.
 
-    Without --part, --box or --scan the built-in carving is planned. With --keep an interrupted plan is
-    taken up again: its executed operations stay, what is left of its viewpoints is planned from there.
+    Without --part, --box or --scan the built-in carving is planned.
+
+    With --keep an interrupted plan is taken up again: what was executed stays, the rest is planned anew.
     """
     check_mode(mode)
     check_known("--strategy", strategy, STRATEGIES)
@@ -119,6 +120,7 @@ def plan(
     if keep is None:
         settings = with_budget(cell_from(robot, cell), budget)
         subject, source = part_and_source(part, box, scan, units=units, up=up, place=place)
+        check_cell(settings, subject)
     with progress_bar(quiet=quiet or json) as progress:
         if keep is not None:
             made = planned_again(keep, done, failed or (), budget, progress, **twin)
@@ -175,6 +177,18 @@ def pages(made: Any, progress: Any) -> dict[str, str]:
     scene = scene_html(made)
     progress("report", 0.5)
     return {"scene.html": scene, "report.html": report_html(made)}
+
+
+def check_cell(settings: Any, subject: Any) -> None:
+    """Refuses a cell whose obstacles stand where the table turns the part.
+
+    Raises:
+        CellError: with the obstacle.
+    """
+    if settings.obstacles:
+        from scanmotion.cell.plant import build_cell, check_room
+
+        check_room(build_cell(settings, subject))
 
 
 def with_budget(settings: Any, budget: float | None) -> Any:
@@ -261,9 +275,14 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         *twin_rows(summary),
         ("time", f"{time['total']:.1f} s, {verdict} the budget of {limit:g} s (floor {time['floor']:.1f} s)"),
         ("of which [s]", split),
-        ("checks", "no finding" if not summary["findings"] else f"{len(summary['findings'])} findings"),
+        ("checks", counted(len(summary["findings"]))),
         ("planned in", f"{summary['planning_s']['total']:.1f} s"),
     ]  # fmt: skip
+
+
+def counted(findings: int) -> str:
+    """How many findings, in words."""
+    return "no finding" if not findings else "1 finding" if findings == 1 else f"{findings} findings"
 
 
 def twin_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:

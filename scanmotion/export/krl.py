@@ -18,6 +18,8 @@ from scanmotion.planfile import read_text
 
 LINES_A_FILE = 1400
 """Longer programmes are split into pages of at most this many lines."""
+MOST_SIGNALS = 8192
+"""Digital outputs of a KR C4; what a controller has is a matter of its configuration."""
 LONGEST_NAME = 20
 """KRL allows 24 characters; "_001" of a page needs four of them."""
 KUKA_AXES = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [-1, 0, 0]])
@@ -73,7 +75,7 @@ $BASE=$ROBROOT
 $ADVANCE=3
 $APO.CPTP=50
 $APO.CDIS=0.5
-;ENDFOLD (SETTINGS)
+{off};ENDFOLD (SETTINGS)
 ;FOLD START, by hand at reduced speed: nothing was planned for the way to here
 PTP XSTART
 ;ENDFOLD (START)
@@ -110,18 +112,20 @@ TIMED = Manner(
 )
 
 
-def classic_files(source: Source, name: str) -> dict[str, bytes | str]:
-    """PTP and LIN with $VEL.CP; E6AXIS with E1."""
-    return _files(source, name, CLASSIC)
+def classic_files(source: Source, name: str, signal: int | None = None) -> dict[str, bytes | str]:
+    """PTP and LIN with $VEL.CP; E6AXIS with E1; `signal` is the output that is on while the scanner scans."""
+    return _files(source, name, CLASSIC, signal)
 
 
-def timed_files(source: Source, name: str) -> dict[str, bytes | str]:
-    """PTP_SPLINE of SPTP with a TIME_BLOCK for each operation."""
-    return _files(source, name, TIMED)
+def timed_files(source: Source, name: str, signal: int | None = None) -> dict[str, bytes | str]:
+    """PTP_SPLINE of SPTP with a TIME_BLOCK for each operation; `signal` as in the classic programme."""
+    return _files(source, name, TIMED, signal)
 
 
-def _files(source: Source, name: str, manner: Manner) -> dict[str, bytes | str]:
+def _files(source: Source, name: str, manner: Manner, signal: int | None) -> dict[str, bytes | str]:
     krl_name(name)
+    if signal is not None and not 1 <= signal <= MOST_SIGNALS:
+        raise InputError(f"--signal {signal}: a digital output has a number from 1 to {MOST_SIGNALS}")
     record = source.record
     arm = arm_from_urdf(
         read_text(source.folder, record.urdf_file, limit=8 << 20), record.robot_joints, record.flange_link
@@ -136,15 +140,18 @@ def _files(source: Source, name: str, manner: Manner) -> dict[str, bytes | str]:
         raise InputError("the robot's greatest speeds are not positive numbers")
     stretches = source.stretches()
     blocks = [manner.block(s, arm, np.array(record.X_FS), fastest) for s in stretches]
-    folds = [_fold(n, s, b) for n, (s, b) in enumerate(zip(stretches, blocks, strict=True), 1)]
+    folds = [_fold(n, s, b, signal) for n, (s, b) in enumerate(zip(stretches, blocks, strict=True), 1)]
     facts = {
         "away": f"{max((b.away for b in blocks), default=0.0):.3f}",
         "cut": f"{max((b.cut for b in blocks), default=0.0):.3f}",
         "speeds": " ".join(f"{v:.1f}" for v in np.rad2deg(fastest)),
         "seconds": f"{source.trajectory.duration:.2f}",
     }
-    remarks = [*_remarks(source), *(line.format(**facts) for line in manner.says)]
-    files = _programme(name, [f"; {line}" for line in remarks], folds)
+    remarks = [*_remarks(source, signal), *(line.format(**facts) for line in manner.says)]
+    head = HEAD.format(name=name) + "".join(f"; {line}\n" for line in remarks)
+    files = _programme(
+        name, head + INI.format(off="" if signal is None else f"$OUT[{signal}]=FALSE\n"), folds
+    )
     start = np.rad2deg(source.trajectory.q[0])
     files[f"{name}.dat"] = DAT.format(name=name, start=axes(start), scanner=frame(np.array(record.X_FS)))
     # A controller's editor expects Windows line ends.
@@ -176,8 +183,9 @@ def remark(text: str, what: str) -> str:
     return _ODD.sub("_", checked_line(text, what))[:60]
 
 
-def _remarks(source: Source) -> list[str]:
+def _remarks(source: Source, signal: int | None) -> list[str]:
     record = source.record
+    trigger = "" if signal is None else f"; output {signal} is on then"
     return [
         "WARNING: no controller has run this programme. Try it in the maker's simulator first,",
         "then in T1 with the override low and the table empty.",
@@ -185,20 +193,23 @@ def _remarks(source: Source) -> list[str]:
         f"part {remark(record.part, 'part')}, robot {remark(record.robot, 'robot')}, "
         f"{remark(record.software, 'software')}",
         "Set $LOAD to the scanner and its fixture. E1 is the turntable, positive counterclockwise",
-        "seen from above. The scanner records where a fold says 'scanner on'.",
+        f"seen from above. The scanner records where a fold says 'scanner on'{trigger}.",
     ]
 
 
-def _fold(n: int, stretch: Stretch, block: Block) -> list[str]:
+def _fold(n: int, stretch: Stretch, block: Block, signal: int | None) -> list[str]:
     o = stretch.operation
     title = f"{n} {o.kind} {' '.join(o.viewpoints[:3])}".strip() + (" .." if len(o.viewpoints) > 3 else "")
     state = "scanner on" if o.scanning else "scanner off"
-    return [f";FOLD {title}, {stretch.t[0]:.3f} s, {state}", *block.lines, f";ENDFOLD ({n})"]
+    lines = block.lines
+    if o.scanning and signal is not None:
+        # Setting an output stops the advance run: it comes on when the arm stands at the operation's start.
+        lines = (f"$OUT[{signal}]=TRUE", *lines, f"$OUT[{signal}]=FALSE")
+    return [f";FOLD {title}, {stretch.t[0]:.3f} s, {state}", *lines, f";ENDFOLD ({n})"]
 
 
-def _programme(name: str, remarks: list[str], folds: list[list[str]]) -> dict[str, str]:
+def _programme(name: str, head: str, folds: list[list[str]]) -> dict[str, str]:
     """The main file and, where it would become too long, pages that it calls."""
-    head = HEAD.format(name=name) + "\n".join(remarks) + "\n" + INI
     body = [line for fold in folds for line in fold]
     if head.count("\n") + len(body) + 1 <= LINES_A_FILE:
         return {f"{name}.src": head + "\n".join([*body, "END"]) + "\n"}

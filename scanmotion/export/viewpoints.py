@@ -53,6 +53,9 @@ def read_viewpoints(path: str | Path) -> tuple[Viewpoint, ...]:
     """
     path = Path(path)
     suffix = _suffix(path)
+    if not path.is_file():
+        # Reading a pipe or a device might never end.
+        raise InputError(f"{path}: cannot be read ({'not a file' if path.exists() else 'no such file'})")
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise InputError(f"{path}: more than {_MAX_BYTES >> 20} MiB of viewpoints")

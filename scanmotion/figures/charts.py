@@ -32,7 +32,7 @@ def joint_figure(trajectory: Any, cell: Any) -> "Figure":
             ax.plot(t, values[:, joint], color=JOINT_COLOURS[joint], lw=0.8, label=name)
         _limits(ax, limits)
         ax.set_ylabel(label, fontsize=8)
-    axes[-1].set_xlabel("time [s]")
+    axes[-1].set(xlabel="time [s]", xlim=_span(trajectory))
     axes[0].legend(ncols=7, fontsize=7, loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
     return figure
 
@@ -52,7 +52,8 @@ def tcp_figure(trajectory: Any, p_WS: np.ndarray, limit: float) -> "Figure":
     figure = new_figure(11.0, 2.6)
     ax = figure.subplots()
     _operations(ax, trajectory, legend=True)
-    ax.plot(trajectory.t, tcp_speed(trajectory.t, p_WS), color="#1b6ca8", lw=0.9)
+    speed = tcp_speed(trajectory.t, p_WS)
+    ax.plot(trajectory.t, speed, color="#1b6ca8", lw=0.9)
     _limits(ax, (limit,))
     ax.annotate(
         f"limit {limit:g} m/s",
@@ -63,7 +64,8 @@ def tcp_figure(trajectory: Any, p_WS: np.ndarray, limit: float) -> "Figure":
         ha="right",
         va="bottom",
     )
-    ax.set(xlabel="time [s]", ylabel="scanner speed [m/s]", ylim=(0, None))
+    top = 1.12 * max(limit, float(speed.max()))
+    ax.set(xlabel="time [s]", ylabel="scanner speed [m/s]", ylim=(0, top), xlim=_span(trajectory))
     return figure
 
 
@@ -94,8 +96,12 @@ def curve_figure(budget: dict[str, Any]) -> "Figure":
     ax.axvline(budget["limit_s"], color="#c8102e", lw=1.2, label=f"budget {budget['limit_s']:.1f} s")
     least = min((p["completeness"] for p in budget["by_order"]), default=0.0)
     ax.set(xlabel="time [s]", ylabel="seen of what can be [%]", ylim=(100 * max(least - 0.02, 0.0), 100.5))
-    ax.legend(fontsize=8, loc="lower right", frameon=False)
+    ax.legend(ncols=3, fontsize=7, loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
     return figure
+
+
+def _span(trajectory: Any) -> tuple[float, float]:
+    return float(trajectory.t[0]), float(trajectory.t[-1])
 
 
 def _thin(n: int, most: int = 4000) -> slice:

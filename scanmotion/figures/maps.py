@@ -1,11 +1,23 @@
 """Coverage before and after, the holes, the viewpoints round the part, and the cell from above."""
 
+import io
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from scanmotion.figures import palette
-from scanmotion.figures.surface import View, in_sight, plain_image, status_image, status_of_samples, view_of
+from scanmotion.figures.surface import (
+    View,
+    in_sight,
+    picture_of,
+    plain_image,
+    status_image,
+    status_of_samples,
+    view_of,
+)
+from scanmotion.part import surface_samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,19 +29,38 @@ SIDES = (
     ("from -x", 180, 10),
     ("from -y", 270, 10),
     ("from above", 270, 89.9),
+    ("from below", 270, -89.9),
 )
 """Name, azimuth and elevation [deg] of the views that a row of pictures shows."""
+MOST_PATCHES = 9
+"""Unscanned patches that the picture of the coverage numbers."""
+
+
+@cache
+def _figure_class() -> type["Figure"]:
+    from matplotlib.figure import Figure
+
+    class Shown(Figure):
+        """A figure that a notebook shows as the value of a cell; only pyplot's own are shown otherwise."""
+
+        def _repr_png_(self) -> bytes:
+            buffer = io.BytesIO()
+            self.savefig(buffer, format="png")
+            return buffer.getvalue()
+
+    return Shown
 
 
 def new_figure(width: float, height: float) -> "Figure":
     """A figure that belongs to nobody's window."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained", dpi=110)
+    return _figure_class()(figsize=(width, height), layout="constrained", dpi=140)
 
 
 def coverage_figure(plan: Any) -> "Figure":
-    """Five sides of the part after the global step (upper row) and at the end (lower row)."""
+    """Six sides of the part after the global step (upper row) and at the end (lower row).
+
+    The numbers are those of the largest patches that stay unscanned, as the report lists them.
+    """
     views = _views(plan.part)
     figure, axes = _gallery(views, 2)
     for row, after, title in ((0, "global", "after the global step"), (1, "final", "at the end")):
@@ -37,12 +68,34 @@ def coverage_figure(plan: Any) -> "Figure":
         for ax, view, (side, *_) in zip(axes[row], views, SIDES, strict=True):
             _image(ax, status_image(plan.part, view, plan.samples, status))
             ax.set_title(f"{title}:\n{side}" if ax is axes[row, 0] else side, fontsize=8, loc="left")
+            if after == "final":
+                _patches(ax, plan, view)
     _legend(figure, list(zip(palette.STATUS_NAMES, palette.STATUS_COLOURS, strict=True)))
     return figure
 
 
+def _patches(ax: "Axes", plan: Any, view: View) -> None:
+    """Rings and numbers at the largest patches that stay unscanned, on the sides that show them."""
+    patches = sorted(plan.unscanned, key=lambda p: -p.area)[:MOST_PATCHES]
+    if not patches:
+        return
+    centres = np.array([p.center for p in patches])
+    column, row, _ = view.pixels(centres)
+    # A patch in a deep hollow is drawn on the side from which the hollow opens.
+    for n in np.flatnonzero(in_sight(picture_of(plan.part, view), centres, tolerance=0.015)):
+        ax.plot(column[n], row[n], "o", ms=6, mfc="none", mec="#c8102e", mew=0.8)
+        ax.annotate(
+            str(n + 1), (column[n], row[n]), fontsize=6, color="#c8102e", textcoords="offset points",
+            xytext=(4, 3),
+        )  # fmt: skip
+
+
 def _views(part: Any, pixels: int = 420) -> list[View]:
-    """SIDES in one scale, `pixels` for the longest side among them."""
+    """SIDES in one scale, `pixels` for the longest side among them; fewer where a cloud would show gaps."""
+    if not part.is_mesh:
+        few = part.vertices[:: max(1, len(part.vertices) // 2000)]
+        apart = float(np.quantile(cKDTree(part.vertices).query(few, k=7)[0][:, -1], 0.9))
+        pixels = int(np.clip(1.5 * part.extent.max() / max(apart, 1e-6), 100, pixels))
     scale = max(view_of(part, azimuth=a, elevation=e, pixels=pixels).scale for _, a, e in SIDES)
     return [view_of(part, azimuth=a, elevation=e, scale=scale) for _, a, e in SIDES]
 
@@ -56,7 +109,7 @@ def _gallery(views: list[View], rows: int) -> tuple["Figure", np.ndarray]:
 
 
 def hole_figure(part: Any, report: Any) -> "Figure":
-    """Five sides of the part with the boundary of each hole, coloured by kind and numbered."""
+    """Six sides of the part with the boundary of each hole, coloured by kind and numbered."""
     views = _views(part)
     figure, axes = _gallery(views, 1)
     for ax, view, (side, *_) in zip(axes[0], views, SIDES, strict=True):
@@ -124,6 +177,8 @@ def causes_of(plan: Any) -> dict[str, str]:
 
 def _silhouette(above: "Axes", beside: "Axes", part: Any, radius: float) -> None:
     points = np.zeros((0, 3)) if part is None else part.vertices[:: max(1, len(part.vertices) // 4000)]
+    if part is not None and part.is_mesh:
+        points = surface_samples(part, 8000, rng=np.random.default_rng(0)).points
     above.plot(points[:, 0], points[:, 1], ",", color="#b0b0b0", zorder=0)
     beside.plot(np.hypot(points[:, 0], points[:, 1]), points[:, 2], ",", color="#b0b0b0", zorder=0)
     turn = np.linspace(0.0, 2.0 * np.pi, 100)
@@ -145,7 +200,7 @@ def cell_figure(plan: Any, X_WS: np.ndarray) -> "Figure":
         plan: a plan with a trajectory.
         X_WS: pose of S at each time of the trajectory, shape (N, 4, 4).
     """
-    figure = new_figure(10.0, 4.4)
+    figure = new_figure(10.0, 3.4)
     views = figure.subplots(1, 2)
     p, trajectory = X_WS[:, :3, 3], plan.trajectory
     for operation in trajectory.operations:

@@ -4,6 +4,7 @@ SEEN_GLOBAL, SEEN_LOCAL, MISSED, HIDDEN = range(4)
 """What became of a piece of surface."""
 
 STATUS_NAMES = ("seen in the global step", "seen in a local round", "can be seen, was not", "cannot be seen")
+NOT_YET = "#d9d9d6"
 STATUS_COLOURS = ("#4c8bc4", "#f2a33a", "#c8102e", "#8a8a8a")
 
 OPERATION_COLOURS = {"transit": "#8a8a8a", "revolution": "#4c8bc4", "sweep": "#f2a33a", "dwell": "#2e9e6b"}

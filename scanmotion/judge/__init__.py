@@ -61,10 +61,12 @@ def verify(folder: str | Path, *, progress: Callable[[float], None] | None = Non
 
 
 def _check_summary(summary: object, duration: float) -> list[Finding]:
-    total = summary.get("time_s", {}).get("total") if isinstance(summary, dict) else None
+    time = summary.get("time_s") if isinstance(summary, dict) else None
+    total = time.get("total") if isinstance(time, dict) else None
     if isinstance(total, int | float) and abs(total - duration) < 0.02:
         return []
-    text = f"summary.json says {total} s in total, the trajectory lasts {duration:.2f} s"
+    told = f"{total:g} s" if isinstance(total, int | float) else "nothing"
+    text = f"summary.json says {told} of the total time, the trajectory lasts {duration:.2f} s"
     return [Finding(code="summary", message=text, value=duration, limit=duration)]
 
 

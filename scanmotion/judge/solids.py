@@ -16,6 +16,10 @@ TOOL, STILL, PART = 7, -1, -2
 """Groups beside the links 0..6."""
 _TOUCHING = {(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 7), (0, 2), (4, 6), (5, 7)}
 """Links that meet by construction; base and link 2, links 4 and 6 by their boxes' excess."""
+_FARTHEST_M = 100.0
+"""No corner of a part is as far from its origin."""
+_TURNING, _UNDER = ("table", "pedestal"), ("table", "table_column", "pedestal", "floor")
+"""Round solids that turn with E1; what the part may stand on."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,8 +87,8 @@ def _part(folder: Path, record: PlanRecord) -> Solid:
         raw = read_geometry(inside(folder, record.part_file))
     except PartError as error:
         raise PlanFileError(str(error)) from None
-    if len(raw.triangles) == 0 or not np.isfinite(raw.vertices).all():
-        raise PlanFileError(f"{record.part_file}: has no triangles, or corners that are no numbers")
+    if len(raw.triangles) == 0 or not (np.abs(raw.vertices) < _FARTHEST_M).all():
+        raise PlanFileError(f"{record.part_file}: has no triangles, or corners {_FARTHEST_M:g} m away")
     low, high = raw.vertices.min(axis=0), raw.vertices.max(axis=0)
     model = fcl.BVHModel()
     model.beginModel(len(raw.vertices), len(raw.triangles))
@@ -102,6 +106,9 @@ def pairs_of(solids: list[Solid], clearance: float) -> list[tuple[Solid, Solid, 
     around = [s for s in solids if s.group < 0]
     links = [s for s in solids if s.group >= 0]
     pairs = [(a, b, clearance) for a in robot for b in around if not (a.group == 1 and b.name == "floor")]
+    # What turns must not touch what stands about it.
+    turning = [s for s in around if s.group == PART or s.name in _TURNING]
+    pairs += [(a, b, 0.0) for a in turning for b in around if b.group == STILL and b.name not in _UNDER]
     for i, a in enumerate(links):
         for b in links[i + 1 :]:
             if a.group != b.group and (min(a.group, b.group), max(a.group, b.group)) not in _TOUCHING:
