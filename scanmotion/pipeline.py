@@ -8,7 +8,7 @@ import numpy as np
 from scanmotion.cell.clearance import Clearance
 from scanmotion.cell.config import CellSettings
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.cell.plant import Cell, build_cell
+from scanmotion.cell.plant import Cell, build_cell, check_room
 from scanmotion.errors import InputError, PartError
 from scanmotion.legs import Leg, Progress, leg_from, renamed, silent
 from scanmotion.motion.reach import reachable_mask
@@ -110,6 +110,7 @@ def plan(
 
     Raises:
         PartError: the part does not fit the table, or is not what the source needs.
+        CellError: an obstacle stands where the table turns.
     """
     trip = Trip(part, settings, options or PlanOptions(), progress)
     if trip.options.source == "scan":
@@ -137,6 +138,7 @@ class Trip:
         self.errors = options.errors or ScanErrors(**settings.twin_errors())
         with self.watch("cell"):
             self.cell: Cell = build_cell(settings, self._solid())
+            check_room(self.cell)
             self.clearance = Clearance(self.cell)
         self.rounds: list[Round] = []
         self.trajectory: Trajectory | None = None

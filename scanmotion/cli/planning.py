@@ -120,7 +120,6 @@ def plan(
     if keep is None:
         settings = with_budget(cell_from(robot, cell), budget)
         subject, source = part_and_source(part, box, scan, units=units, up=up, place=place)
-        check_cell(settings, subject)
     with progress_bar(quiet=quiet or json) as progress:
         if keep is not None:
             made = planned_again(keep, done, failed or (), budget, progress, **twin)
@@ -177,18 +176,6 @@ def pages(made: Any, progress: Any) -> dict[str, str]:
     scene = scene_html(made)
     progress("report", 0.5)
     return {"scene.html": scene, "report.html": report_html(made)}
-
-
-def check_cell(settings: Any, subject: Any) -> None:
-    """Refuses a cell whose obstacles stand where the table turns the part.
-
-    Raises:
-        CellError: with the obstacle.
-    """
-    if settings.obstacles:
-        from scanmotion.cell.plant import build_cell, check_room
-
-        check_room(build_cell(settings, subject))
 
 
 def with_budget(settings: Any, budget: float | None) -> Any:
