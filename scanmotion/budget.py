@@ -6,16 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.plant import Cell
 from scanmotion.motion.curve import CurvePoint, completeness_curve
 from scanmotion.motion.seconds import MoveModel, move_model
 from scanmotion.motion.sequence import tour_seconds
 from scanmotion.motion.tour import Stop, Tour
 from scanmotion.part import Part, SurfaceSamples
-from scanmotion.scan.captures import captures_from_trajectory
+from scanmotion.tidy import stop_masks
 from scanmotion.trajectory import Trajectory
-from scanmotion.viewpoints.coverage import scene_from, seen_by_any
+from scanmotion.viewpoints.coverage import scene_from
 
 __all__ = ["Coverage", "budget_record", "coverage_of"]
 
@@ -64,16 +63,7 @@ def coverage_of(
         part.vertices, part.triangles, table_radius=settings.turntable.diameter_m / 2,
         table_z=-settings.pedestal.height_m, pedestal_radius=settings.pedestal.diameter_m / 2,
     )  # fmt: skip
-    captures = captures_from_trajectory(
-        trajectory, lambda q: scanner_poses(cell, q), fps=settings.process.fps, X_WT=cell.X_WT, X_TO=cell.X_TO
-    )
-    scanner, X_OS = settings.scanner_model(), captures.X_OS
-    masks = []
-    for o in trajectory.operations:
-        if o.scanning:
-            frames = np.flatnonzero((captures.t >= o.t_start - 1e-9) & (captures.t <= o.t_end + 1e-9))
-            frames = frames[:: max(1, len(frames) // _TURN_FRAMES)]
-            masks.append(seen_by_any(scene, scanner, X_OS[frames], samples.points[few], samples.normals[few]))
+    masks = stop_masks(cell, trajectory, scene, samples, few, most=_TURN_FRAMES)
     # Samples that only frames between those looked at see count for no stop.
     known = np.any(masks, axis=0) if masks else np.zeros(len(few), bool)
     return Coverage(masks=tuple(m[known] for m in masks), whole=whole)

@@ -101,6 +101,7 @@ def leg_from(
             reasons.update({v: f"no collision-free way there: {error}" for v in blocked.viewpoints})
             continue
         if not tour.stops:
+            trajectory = None
             break
         trajectory = time_plan(cell, tour, paths, progress=lambda f: progress("timing", f))
         local = {r.viewpoint.id for r in todo if r.viewpoint.step == "local"}
@@ -128,20 +129,43 @@ def _detours(trajectory: Trajectory, local: set[str], longest: float) -> dict[st
     return {v: f"not worth its seconds: the way there takes {seconds:.1f} s" for v in viewpoints}
 
 
-def _dear(cell: Cell, tour: Tour, trajectory: Trajectory, worth: Mapping[str, float]) -> dict[str, str]:
-    """Viewpoints that cost more seconds than they are worth, no two of them in a row: one gone, the other's
-    way is another.
+def with_left_out(leg: Leg, earlier: Sequence[Leg], out: Mapping[str, str]) -> Leg:
+    """`leg`, made of viewpoints of earlier legs, with those that it leaves behind and why.
+
+    Args:
+        leg: the new one.
+        earlier: the legs that it stands for.
+        out: reasons of viewpoints that the earlier ones served, by id.
     """
+    mine = {r.viewpoint.id: r for r in leg.reaches}
+    reasons = dict(pair for one in earlier for pair in one.unreachable) | dict(out) | dict(leg.unreachable)
+    reaches = tuple(mine.get(r.viewpoint.id, r) for one in earlier for r in one.reaches)
+    order = [r.viewpoint.id for r in reaches]
+    return replace(leg, reaches=reaches, unreachable=tuple((v, reasons[v]) for v in order if v in reasons))
+
+
+def costs(cell: Cell, tour: Tour, trajectory: Trajectory) -> list[float]:
+    """What each stop of a leg costs: itself, and the way there and on less the way past it [s]."""
     model, after = move_model(cell), [o for o in trajectory.operations if o.kind != "transit"]
-    dear: dict[str, str] = {}
-    last = -2
-    for n, stop in enumerate(tour.stops):
+    found = []
+    for n in range(len(tour.stops)):
         before = tour.stops[n - 1].q_out if n else tour.start_q
         start = after[n - 1].t_end if n else 0.0
         cost = after[n].t_end - start
         if n + 1 < len(tour.stops):
             way = move_matrix(model, np.array([before]), np.array([tour.stops[n + 1].q_in]))[0, 0]
             cost = after[n + 1].t_start - start - float(way)
+        found.append(cost)
+    return found
+
+
+def _dear(cell: Cell, tour: Tour, trajectory: Trajectory, worth: Mapping[str, float]) -> dict[str, str]:
+    """Viewpoints that cost more seconds than they are worth, no two of them in a row: one gone, the other's
+    way is another.
+    """
+    dear: dict[str, str] = {}
+    last = -2
+    for n, (stop, cost) in enumerate(zip(tour.stops, costs(cell, tour, trajectory), strict=True)):
         if cost > sum(worth.get(v, np.inf) for v in stop.viewpoints) and n > last + 1:
             last = n
             dear.update({v: f"not worth its seconds: it would cost {cost:.1f} s" for v in stop.viewpoints})

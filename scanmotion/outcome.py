@@ -87,6 +87,8 @@ class Plan:
     samples: SurfaceSamples | None
     visible: np.ndarray | None
     """Which samples any allowed scanner pose can see, shape (n,)."""
+    searched: tuple[Round, ...] = ()
+    """The rounds as they were sought, where the twin's verdict has made others of them since."""
     out_of_reach: np.ndarray | None = None
     """Which of those stay unscanned because no pose that sees them was found that the robot reaches, (n,)."""
     dropped: tuple[tuple[str, str], ...] = ()
@@ -202,14 +204,8 @@ class Plan:
             },
             "completeness": _rounded(self.completeness()),
             "within_reach": _rounded(self.within_reach()),
-            "rounds": [
-                {
-                    "step": item.step,
-                    "viewpoints": len(item.leg.served),
-                    "completeness": self._share(item.seen),
-                }
-                for item in self.rounds
-            ],
+            "rounds": [self._told(item) for item in self.rounds],
+            "searched": [self._told(item) for item in self.searched],
             "unscanned": [
                 {
                     "center_mm": [round(float(x) * 1e3, 1) for x in p.center],
@@ -228,6 +224,13 @@ class Plan:
         }
         # What is told in memory is what stands on disk: plain numbers, no numpy scalars.
         return json.loads(json_text(told))
+
+    def _told(self, item: Round) -> dict[str, Any]:
+        return {
+            "step": item.step,
+            "viewpoints": len(item.leg.served),
+            "completeness": self._share(item.seen),
+        }
 
     def _share(self, seen: np.ndarray) -> float | None:
         if self.visible is None or len(seen) != len(self.visible):

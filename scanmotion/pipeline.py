@@ -1,100 +1,44 @@
 """The whole trip on one screen: a part and a cell in, a Plan out. Nobody else knows the stages' order."""
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from scanmotion.cell.clearance import Clearance
 from scanmotion.cell.config import CellSettings
-from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.plant import Cell, build_cell, check_room
-from scanmotion.errors import InputError, PartError
-from scanmotion.legs import Leg, Progress, leg_from, renamed, silent
+from scanmotion.errors import PartError
+from scanmotion.legs import Leg, Progress, leg_from, renamed, silent, with_left_out
 from scanmotion.motion.reach import reachable_mask
+from scanmotion.options import PlanOptions
 from scanmotion.outcome import Plan, Round, Stopwatch
-from scanmotion.part import Part, SurfaceSamples, check_fits, surface_samples
+from scanmotion.part import Part, check_fits, surface_samples
 from scanmotion.scan.fuse import Cloud, fuse
-from scanmotion.scan.given import cloud_from_part
+from scanmotion.scan.given import cloud_from_part, spacing_of
 from scanmotion.scan.images import depth_images
-from scanmotion.scan.mend import Mender
+from scanmotion.scan.mend import Mender, Mending
 from scanmotion.scan.merge import merged
-from scanmotion.scan.simulate import Scan, ScanErrors, captures_from_trajectory, simulate
+from scanmotion.scan.simulate import Scan, ScanErrors
 from scanmotion.scanner import Scanner
 from scanmotion.search import THOROUGH_RATE, Search, Surroundings
+from scanmotion.tidy import not_worth
 from scanmotion.trajectory import Trajectory, joined
+from scanmotion.twin import Twin
 from scanmotion.viewpoints.cad_slicing import cad_slicing
-from scanmotion.viewpoints.coverage import Scene, scene_from, visible
 from scanmotion.viewpoints.holes import HoleReport, holes_from_cloud
 from scanmotion.viewpoints.local import local_viewpoints
 from scanmotion.viewpoints.model import closed_model
+from scanmotion.viewpoints.select import SelectOptions
 from scanmotion.viewpoints.stepped_rotary import stepped_rotary
 from scanmotion.viewpoints.surface_partitioning import surface_partitioning
-from scanmotion.viewpoints.targets import Targets
-from scanmotion.viewpoints.unscanned import CANNOT_BE_REACHED, open_surface, patches
 from scanmotion.viewpoints.viewpoint import Viewpoint
 
 __all__ = ["PlanOptions", "plan"]
 
-Source = Literal["mesh", "box", "scan"]
-Mode = Literal["default", "paper"]
-Strategy = Literal["two-step", "cad-slicing", "surface-partitioning"]
-
-
+_SOUGHT = 0.5
+"""Share of what a viewpoint must be worth for which it is sought, where the twin has the last word."""
 _SIDE_TRIP_S = 10.0
 """A local viewpoint is taken only within this time of home or a viewpoint of the first leg [s]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlanOptions:
-    """What a plan may be told beside the part and the cell."""
-
-    source: Source = "mesh"
-    """mesh: the twin scans the part, both steps. box: only a box is known, global step. scan: local step."""
-    mode: Mode = "default"
-    strategy: Strategy = "two-step"
-    seed: int = 0
-    rounds: int = 3
-    """Most local rounds: what is still open is sought again after each."""
-    samples: int = 40_000
-    """Surface samples by which completeness is counted."""
-    voxel: float = 0.002
-    """Edge of the fused cloud's voxels [m]."""
-    stride: int = 2
-    """The twin casts every stride-th ray in x and y of a frame."""
-    goal: float = 0.999
-    """Completeness of what can be seen at which the local rounds end."""
-    errors: ScanErrors | None = None
-    """What the simulated scanner, arm and table get wrong; None: what the cell's section `twin` says."""
-    calibrate: bool | None = None
-    """Estimate the constant errors from the scans and correct them; None: where there are any."""
-    surface: bool = False
-    """The summary assesses the reconstructed surface too."""
-    keep_scans: bool = False
-    """The plan holds the twin's scans, to be saved."""
-    occlusion_aware: bool = True
-    """Local viewpoints are chosen on a closed model; False: the grid over each hole's box."""
-    thorough: bool = False
-    """Fill the budget: local viewpoints are taken down to slivers that repay a tenth of what others do."""
-    reach_feedback: bool = True
-    """Only what the robot reaches is chosen; False: reach is asked for afterwards."""
-    turntable: Literal["axis", "fallback"] = "axis"
-    """axis: the table is a seventh axis. fallback: it turns for stations only where the arm alone cannot."""
-
-    def __post_init__(self) -> None:
-        for name, known in (
-            ("turntable", ("axis", "fallback")),
-            ("source", ("mesh", "box", "scan")),
-            ("mode", ("default", "paper")),
-            ("strategy", ("two-step", "cad-slicing", "surface-partitioning")),
-        ):
-            if getattr(self, name) not in known:
-                raise InputError(f"unknown {name} {getattr(self, name)!r}; known: {', '.join(known)}")
-        if self.source != "mesh":
-            uses = {"calibrate": "calibrate from", "surface": "make a surface of", "keep_scans": "save"}
-            asked = [use for name, use in uses.items() if getattr(self, name)]
-            if asked:
-                raise InputError(f"a {self.source} is not scanned by the twin: no scans to {asked[0]}")
 
 
 def plan(
@@ -121,7 +65,24 @@ def plan(
         trip.single_step()
     if trip.options.source != "box" and trip.options.strategy == "two-step":
         trip.local_rounds()
+    trip.tidy()
     return trip.plan()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _State:
+    """All that a leg adds to."""
+
+    trajectory: Trajectory | None
+    rounds: tuple[Round, ...]
+    scans: tuple[Scan, ...]
+    seen: np.ndarray
+    cloud: Cloud | None
+    mending: Mending | None
+
+    def value(self, rate: float) -> float:
+        """What has been seen, less what the seconds are worth, as a share of the surface."""
+        return float(self.seen.mean()) - rate * (self.trajectory.duration if self.trajectory else 0.0)
 
 
 class Trip:
@@ -135,28 +96,36 @@ class Trip:
         if options.source == "mesh" and not part.is_mesh:
             raise PartError(f"{part.name}: a point cloud cannot be scanned by the twin; give it as a scan")
         self.scanner: Scanner = settings.scanner_model()
-        self.errors = options.errors or ScanErrors(**settings.twin_errors())
+        errors = options.errors or ScanErrors(**settings.twin_errors())
+        self.given: Cloud | None = None
+        self.spacing = options.voxel
+        if options.source == "scan":
+            with self.watch("scan"):
+                self.given = cloud_from_part(part, spacing=options.voxel)
+                self.spacing = spacing_of(self.given.points, least=options.voxel)
         with self.watch("cell"):
             self.cell: Cell = build_cell(settings, self._solid())
             check_room(self.cell)
             self.clearance = Clearance(self.cell)
         self.rounds: list[Round] = []
+        self.searched: tuple[Round, ...] = ()
+        self.after_global: _State | None = None
         self.trajectory: Trajectory | None = None
         self.scans: list[Scan] = []
-        mends = self.errors.constant if options.calibrate is None else options.calibrate
+        mends = errors.constant if options.calibrate is None else options.calibrate
         self.mender = Mender(part, voxel=options.voxel) if mends and options.source == "mesh" else None
         self.cloud: Cloud | None = None
         self.holes: HoleReport | None = None
         self.dropped: list[tuple[str, str]] = []
         self.unscanned: tuple = ()
-        self.search = Search(self.scanner, self._surroundings(), voxel=options.voxel, stride=options.stride)
-        self.scene: Scene | None = None
-        self.samples: SurfaceSamples | None = None
+        self.search = Search(self.scanner, self._surroundings(), voxel=self.spacing, stride=options.stride)
+        self.twin: Twin | None = None
         self.seen = np.zeros(0, bool)
-        self.can_see: np.ndarray | None = None
         if options.source == "mesh":
-            self.scene = self._scene(part)
-            self.samples = surface_samples(part, options.samples, rng=self._rng(1))
+            self.twin = Twin(
+                part, self.cell, self._surroundings(), options=options, errors=errors,
+                samples=surface_samples(part, options.samples, rng=self._rng(1)),
+            )  # fmt: skip
             self.seen = np.zeros(options.samples, bool)
 
     def _rng(self, stream: int) -> np.random.Generator:
@@ -167,8 +136,8 @@ class Trip:
         """What the arm must not touch: the mesh, the box, or the closed model of a measured cloud."""
         if self.part.is_mesh:
             return self.part
-        cloud = cloud_from_part(self.part)
-        model = closed_model(cloud.points, cloud.normals, spacing=self.options.voxel)
+        assert self.given is not None
+        model = closed_model(self.given.points, self.given.normals, spacing=self.spacing)
         return Part(name=self.part.name, vertices=model.vertices, triangles=model.triangles)
 
     def _surroundings(self) -> Surroundings:
@@ -177,9 +146,6 @@ class Trip:
             table_z=self.table_z,
             pedestal_radius=self.settings.pedestal.diameter_m / 2,
         )
-
-    def _scene(self, part: Part) -> Scene:
-        return scene_from(part.vertices, part.triangles, **vars(self._surroundings()))
 
     @property
     def table_z(self) -> float:
@@ -193,7 +159,7 @@ class Trip:
 
     def take_scan(self) -> None:
         """A measured global scan stands in for the global step."""
-        self.cloud = cloud_from_part(self.part)
+        self.cloud = self.given
 
     def global_step(self) -> None:
         """Stepped rotary scanning of the bounding box."""
@@ -206,6 +172,7 @@ class Trip:
         )  # fmt: skip
         self.dropped += list(step.dropped)
         self.run(step.viewpoints, "global", self._rng(2))
+        self.after_global = self._state()
 
     def single_step(self) -> None:
         """One of the two methods that the paper compares with; both need the mesh."""
@@ -236,6 +203,45 @@ class Trip:
             if literal or self.options.source == "scan" or self._complete():
                 return
 
+    def tidy(self) -> None:
+        """Takes out the local viewpoints that the twin shows to be worth less than their seconds, and makes
+        one leg of the rest, where that is the better programme.
+        """
+        local = [item.leg for item in self.rounds if item.step == "local"]
+        if not self._tidies or self.after_global is None or not any(leg.trajectory for leg in local):
+            return
+        assert self.twin is not None
+        old, open_ = self._state(), np.flatnonzero(self.seen & ~self.after_global.seen)
+        with self.watch("tidy"):
+            self.progress("tidy", 0.0)
+            out = not_worth(
+                self.cell, local, self.twin.scene, self.twin.samples, open_, rate=self._rate
+            )  # fmt: skip
+        if not out and sum(leg.trajectory is not None for leg in local) == 1:
+            return
+        self.twin.visible(self.seen)
+        self._back_to(self.after_global)
+        kept = [v for leg in local for v in leg.served if v.id not in out]
+        self.run(tuple(kept), "local", self._rng(30))
+        if self._state().value(self._rate) <= old.value(self._rate):
+            self._back_to(old)
+            return
+        self.searched = old.rounds
+        last = self.rounds.pop()
+        self.rounds.append(replace(last, leg=with_left_out(last.leg, local, out)))
+
+    def _state(self) -> _State:
+        return _State(
+            trajectory=self.trajectory, rounds=tuple(self.rounds), scans=tuple(self.scans), seen=self.seen,
+            cloud=self.cloud, mending=None if self.mender is None else self.mender.mending,
+        )  # fmt: skip
+
+    def _back_to(self, state: _State) -> None:
+        self.trajectory, self.seen, self.cloud = state.trajectory, state.seen, state.cloud
+        self.rounds, self.scans = list(state.rounds), list(state.scans)
+        if self.mender is not None and state.mending is not None:
+            self.mender.mending = state.mending
+
     def _local_views(self, holes: HoleReport, number: int) -> tuple[tuple[Viewpoint, ...], dict[str, float]]:
         """Viewpoints of a local round, and what each may cost [s]."""
         standoff = self.settings.process.standoff_m
@@ -249,7 +255,7 @@ class Trip:
         # The holes of a measured scan are what was asked for: none is left for its seconds.
         step, worth = self.search.step(
             self.cloud, holes.holes,
-            rate=THOROUGH_RATE if self.options.thorough or measured else None,
+            rate=THOROUGH_RATE if measured else (_SOUGHT if self._tidies else 1.0) * self._rate,
             seconds=self._seconds_left(),
             reachable=self._reachable if self.options.reach_feedback else None,
             explain=measured,
@@ -257,6 +263,16 @@ class Trip:
         )  # fmt: skip
         self.unscanned = step.unseen
         return step.viewpoints, worth
+
+    @property
+    def _rate(self) -> float:
+        """Least share of the surface that a viewpoint adds per second [1/s]."""
+        return THOROUGH_RATE if self.options.thorough else SelectOptions().least_rate
+
+    @property
+    def _tidies(self) -> bool:
+        literal = self.options.mode == "paper" or not self.options.occlusion_aware
+        return self.options.tidy and self.options.source == "mesh" and not literal
 
     def _seconds_left(self) -> float:
         """Of the budget, for the next round, with some in hand because its order is not known yet [s]."""
@@ -307,16 +323,9 @@ class Trip:
         self.rounds.append(Round(step=step, leg=leg, seen=self.seen.copy()))
 
     def _scan(self, trajectory: Trajectory, rng: np.random.Generator) -> None:
-        assert self.scene is not None
-        captures = captures_from_trajectory(
-            trajectory, lambda q: scanner_poses(self.cell, q),
-            fps=self.settings.process.fps, X_WT=self.cell.X_WT, X_TO=self.cell.X_TO,
-        )  # fmt: skip
-        scan = simulate(
-            self.scene, self.scanner, captures,
-            errors=self.errors, stride=self.options.stride, rng=rng, samples=self.samples,
-            known=self.seen,
-            progress=lambda f: self.progress("twin", f),
+        assert self.twin is not None
+        scan = self.twin.scan(
+            trajectory, known=self.seen, rng=rng, progress=lambda f: self.progress("twin", f)
         )  # fmt: skip
         if self.mender is not None:
             scan = self.mender.mended(scan, self.cloud, index=len(self.rounds))
@@ -333,47 +342,34 @@ class Trip:
 
     def completeness(self) -> float:
         """Share of what can be seen that has been seen."""
-        assert self.scene is not None and self.samples is not None
-        if self.can_see is None:
-            with self.watch("visible"):
-                self.can_see = visible(
-                    self.scene, self.scanner, self.samples.points, self.samples.normals, seen=self.seen
-                )
-        return float(self.seen.sum() / max((self.can_see | self.seen).sum(), 1))
+        assert self.twin is not None
+        with self.watch("visible"):
+            return float(self.seen.sum() / max(self.twin.visible(self.seen).sum(), 1))
 
     def _explain(self) -> np.ndarray:
         """Finds out what stays unscanned and why; which samples can be seen, but not by this robot, (n,)."""
-        assert self.scene is not None and self.samples is not None and self.can_see is not None
-        s = self.samples
-        left = np.flatnonzero(~self.seen)
-        open_ = Targets(points=s.points[left], normals=s.normals[left], areas=np.full(len(left), s.area))
+        assert self.twin is not None
         with self.watch("unscanned"):
             self.progress("unscanned", 0.0)
-            why = open_surface(
-                self.scene, self.scanner, open_, self.can_see[left],
-                solid=self.part.vertices,
-                reachable=lambda X: reachable_mask(self.cell, X, clearance=self.clearance),
-                table_radius=self.settings.turntable.diameter_m / 2,
-                table_z=self.table_z,
-            )  # fmt: skip
-            self.unscanned = patches(open_, why)
-        out_of_reach = np.zeros(len(self.seen), bool)
-        out_of_reach[left] = why == CANNOT_BE_REACHED
+            self.unscanned, out_of_reach = self.twin.unscanned(
+                self.seen, lambda X: reachable_mask(self.cell, X, clearance=self.clearance)
+            )
         return out_of_reach
 
     def plan(self) -> Plan:
         """All that was found, in one value."""
         out_of_reach = None
-        if self.options.source == "mesh":
-            self.completeness()
+        if self.twin is not None:
             out_of_reach = self._explain()
             if len(self.scans) > 1:
                 with self.watch("twin"):
                     self.cloud = fuse(self.scans, voxel=self.options.voxel)
         return Plan(
             part=self.part, cell=self.cell, options=self.options, rounds=tuple(self.rounds),
-            trajectory=self.trajectory, cloud=self.cloud, holes=self.holes, samples=self.samples,
-            visible=None if self.can_see is None else self.can_see | self.seen,
+            searched=self.searched,
+            trajectory=self.trajectory, cloud=self.cloud, holes=self.holes,
+            samples=None if self.twin is None else self.twin.samples,
+            visible=None if self.twin is None else self.twin.visible(self.seen),
             out_of_reach=out_of_reach,
             dropped=tuple(self.dropped), unscanned=self.unscanned, planning_s=self.watch.seconds(),
             scans=tuple(self.scans) if self.options.keep_scans else (),

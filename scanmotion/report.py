@@ -120,7 +120,7 @@ def _numbers(summary: dict[str, Any]) -> str:
     def mm(value: float | None) -> str:
         return "not known" if value is None else f"{value:.3f} mm"
 
-    budget = summary["budget"]
+    budget, reach = summary["budget"], summary.get("within_reach") or {}
     within = "inside" if budget["ok"] else "OVER"
     left_out = len(summary["viewpoints"]["unreachable"])
     rows = [
@@ -137,6 +137,9 @@ def _numbers(summary: dict[str, Any]) -> str:
     ]
     if done["final"] is None:
         return table((), rows)
+    if reach.get("scanned") is not None:
+        told = f"{share(reach['scanned'])} ({share(reach['share'])} of what can be seen is within reach)"
+        rows.insert(2, ("scanned, of what this robot's scanner can be brought to see", told))
     # A conservator decides by these numbers: what they are has to stand beside them.
     return table((), rows) + (
         '<p class="note">Completeness and accuracy are predicted by simulating the scanner with the noise '
@@ -159,11 +162,15 @@ def _coverage(plan: Any) -> str:
 def _rounds(summary: dict[str, Any]) -> list[str]:
     """What each round added."""
     rows, before = [], None
-    for number, item in enumerate(summary.get("rounds", ()), start=1):
+    searched = summary.get("searched") or ()
+    found = [*searched, *summary.get("rounds", ())[-1:]] if searched else summary.get("rounds", ())
+    for number, item in enumerate(found, start=1):
         done = item["completeness"]
         gain = "" if done is None or before is None else f"{done - before:+.2%}"
         share = "not known" if done is None else f"{done:.2%}"
-        rows.append((number, item["step"], item["viewpoints"], share, gain))
+        last = bool(searched) and number == len(found)
+        step = "kept: worth their seconds, as one tour" if last else item["step"]
+        rows.append((number, step, item["viewpoints"], share, gain))
         before = done
     header = ("round", "step", "viewpoints served", "scanned, of what can be seen", "added")
     return [table(header, rows)] if rows else []

@@ -17,6 +17,9 @@ from scanmotion.viewpoints.targets import TargetOptions
 
 THOROUGH_RATE = 2.5e-6
 """Least share of the surface per second that a viewpoint of a thorough plan adds [1/s]."""
+_WARY, _WARY_OF_FILES = np.deg2rad(8.0), np.deg2rad(15.0)
+"""Incidence kept in hand [rad]; of a scan that comes as a file nobody knows what its frames looked through,
+and no second round mends what the first promised in vain."""
 _LEAST_KEPT = 0.05
 """A round that kept less of its promises is taken for one that kept so much."""
 _SAME_PLACE, _SAME_DIRECTION = 0.06, np.deg2rad(12.0)
@@ -60,7 +63,7 @@ class Search:
         cloud: Cloud,
         holes: Sequence[Hole],
         *,
-        rate: float | None = None,
+        rate: float,
         seconds: float,
         reachable: Reachable | None,
         explain: bool,
@@ -71,14 +74,14 @@ class Search:
         Args:
             cloud: the fused scan.
             holes: of it.
-            rate: least share of the surface that a viewpoint adds per second [1/s]; None for the default.
+            rate: least share of the surface that a viewpoint adds per second [1/s].
             seconds: what the round may take [s].
             reachable: of the robot; None for all.
             explain: whether to say why what stays open does.
             rng: draws the targets.
         """
         # What the last round did not keep of its promises, this one will not keep either.
-        rate = (rate or SelectOptions().least_rate) / self._kept(cloud)
+        rate = rate / self._kept(cloud)
         step = local_step(
             cloud.points, cloud.normals, holes, self._scanner,
             spacing=self._voxel,
@@ -86,7 +89,7 @@ class Search:
             claimed=np.concatenate(self._claimed) if self._claimed else None,
             model=self._model,
             seconds=seconds,
-            options=SelectOptions(least_rate=rate),
+            options=SelectOptions(least_rate=rate, wary=_WARY if self._frames else _WARY_OF_FILES),
             table_radius=self._around.table_radius,
             table_z=self._around.table_z,
             pedestal_radius=self._around.pedestal_radius,

@@ -45,6 +45,11 @@ class _Completeness(_Open):
     final_of_whole: Real | None
 
 
+class _Reach(_Open):
+    share: Real | None
+    scanned: Real | None
+
+
 class _Round(_Open):
     step: str
     viewpoints: Count
@@ -98,7 +103,9 @@ class _Budget(_Open):
 class _Summary(_Open):
     viewpoints: _Viewpoints
     completeness: _Completeness
+    within_reach: _Reach = _Reach(share=None, scanned=None)
     rounds: list[_Round]
+    searched: list[_Round] = []
     unscanned: list[_Patch] = []
     accuracy: _Accuracy
     time_s: _Time

@@ -23,14 +23,18 @@ MAY_IMPORT = {
     "verify": NOUNS | {"judge", "planfile"},
     "export": NOUNS | {"export", "planfile", "viewpoints"},
     "search": NOUNS | {"viewpoints", "scan"},
+    "twin": NOUNS | {"viewpoints", "cell", "scan", "options", "search"},
+    "options": NOUNS | {"scan"},
+    "tidy": NOUNS | {"viewpoints", "cell", "scan", "motion", "legs"},
     "pipeline": NOUNS
-    | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "outcome", "search"},
+    | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "outcome", "search"}
+    | {"options", "tidy", "twin"},
     "loaded": NOUNS | {"viewpoints", "cell", "planfile", "summaryfile"},
     "replan": NOUNS
     | {"cell", "scan", "motion", "planfile", "legs", "outcome", "pipeline", "loaded"}
     | {"summaryfile"}
     | {"viewpoints"},
-    "budget": NOUNS | {"viewpoints", "cell", "scan", "motion"},
+    "budget": NOUNS | {"viewpoints", "cell", "scan", "motion", "tidy"},
     "legs": NOUNS | {"viewpoints", "cell", "motion"},
     "outcome": NOUNS
     | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "budget"}

@@ -32,9 +32,9 @@ def compare(
         list[str] | None,
         typer.Option(
             "--variants", "--variant",
-            help="Rows of the table: two-step, thorough, paper-mode, cad-slicing, surface-partitioning, "
-            "without-occlusion, without-feedback, turntable-fallback; separated by commas, or repeated. "
-            "Default: all.",
+            help="Rows of the table: two-step, as-found, thorough, paper-mode, cad-slicing, "
+            "surface-partitioning, without-occlusion, without-feedback, turntable-fallback; "
+            "separated by commas, or repeated. Default: all.",
         ),
     ] = None,
     seeds: Annotated[int, typer.Option("--seeds", min=1, max=100, help="Seeds 0..N-1 for each.")] = 1,

@@ -74,6 +74,17 @@ def plan(
             "--failed", help="With --keep: a viewpoint to leave out; may be repeated.", rich_help_panel=AGAIN
         ),
     ] = None,
+    thorough: Annotated[
+        bool,
+        typer.Option("--thorough", help="Fill the budget: follow slivers too."),
+    ] = False,
+    tidy: Annotated[
+        bool,
+        typer.Option(
+            "--tidy/--no-tidy",
+            help="Leave out what the twin shows to be worth less than its seconds.",
+        ),
+    ] = True,
     calibrate: Annotated[
         bool | None,
         typer.Option(
@@ -125,6 +136,7 @@ def plan(
             made = planned_again(keep, done, failed or (), budget, progress, **twin)
         else:
             told = {"source": source, "mode": mode, "strategy": strategy, "seed": seed}
+            told |= {"thorough": thorough, "tidy": tidy}
             made = planned(subject, settings, progress, **told, **twin)
         made.save(out, extras=pages(made, progress) if html else {})
     summary = read_summary(out)
@@ -257,6 +269,7 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ),
         ("completeness, of what can be seen", share(done["final"])),
         ("after the global step", share(done["after_global"])),
+        *reach_rows(summary),
         ("of the whole surface", share(done["final_of_whole"])),
         ("accuracy", f"mean {mm(exact['mean_abs_mm'])}, standard deviation {mm(exact['sd_signed_mm'])}"),
         *twin_rows(summary),
@@ -265,6 +278,16 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("checks", counted(len(summary["findings"]))),
         ("planned in", f"{summary['planning_s']['total']:.1f} s"),
     ]  # fmt: skip
+
+
+def reach_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Line of the final table on what this robot's scanner can be brought to see, where that is known."""
+    found = summary.get("within_reach") or {}
+    if found.get("scanned") is None:
+        return []
+    return [
+        ("of what this robot can reach", f"{found['scanned']:.2%} ({found['share']:.2%} is within reach)")
+    ]
 
 
 def counted(findings: int) -> str:

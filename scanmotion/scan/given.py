@@ -1,32 +1,39 @@
 """A measured scan that is given as a file, not made by the twin."""
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from scanmotion.part import Part, surface_samples
+from scanmotion.part import Part
 from scanmotion.scan.fuse import Cloud
 from scanmotion.viewpoints.boundary import oriented_normals
+from scanmotion.viewpoints.clouds import even_samples
+
+_NEIGHBOURS = 8
+_MOST_SAMPLES = 400_000
+"""A mesh is resampled by at most about so many points."""
 
 
-def cloud_from_part(part: Part) -> Cloud:
+def cloud_from_part(part: Part, *, spacing: float) -> Cloud:
     """A measured scan as a cloud with normals.
 
-    A mesh is resampled uniformly, never taken by its vertices; normals that a cloud lacks are oriented by a
+    A mesh is resampled evenly, never taken by its vertices; normals that a cloud lacks are oriented by a
     spanning tree.
+
+    Args:
+        part: a mesh or a cloud.
+        spacing: of a mesh's samples [m]; wider where they would be too many.
 
     Raises:
         HoleError: normals cannot be oriented.
     """
     if part.is_mesh:
-        area = np.linalg.norm(
-            np.cross(
-                part.vertices[part.triangles[:, 1]] - part.vertices[part.triangles[:, 0]],
-                part.vertices[part.triangles[:, 2]] - part.vertices[part.triangles[:, 0]],
-            ),
-            axis=1,
-        ).sum()
-        n = int(np.clip(area / 2 / 2e-6, 5_000, 400_000))
-        samples = surface_samples(part, n, rng=np.random.default_rng(0))
-        points, normals = samples.points, samples.normals
+        a, b, c = (part.vertices[part.triangles[:, i]] for i in range(3))
+        area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+        spacing = max(spacing, float(np.sqrt(area / _MOST_SAMPLES)))
+        # Thinned random samples lie between one and two least distances apart.
+        points, normals = even_samples(
+            part.vertices, part.triangles, 0.75 * spacing, rng=np.random.default_rng(0)
+        )
     else:
         points = part.vertices
         normals = part.normals if part.normals is not None else oriented_normals(points)
@@ -34,3 +41,19 @@ def cloud_from_part(part: Part) -> Cloud:
         points=np.asarray(points, float), normals=np.asarray(normals, float),
         view_directions=np.asarray(normals, float), counts=np.ones(len(points), np.int64),
     )  # fmt: skip
+
+
+def spacing_of(points: np.ndarray, *, least: float) -> float:
+    """Square root of the surface that a point stands for where the cloud is sparse, but at least `least` [m].
+
+    Args:
+        points: shape (n, 3) [m].
+        least: what finer clouds are given [m].
+
+    Returns:
+        The 95th percentile over the points: where parts of a scan lie double, its single parts decide.
+    """
+    k = min(_NEIGHBOURS, len(points) - 1)
+    distance = cKDTree(points).query(points, k + 1, workers=-1)[0][:, -1]
+    # k neighbours and half of the point itself share a disc that reaches to the last of them.
+    return max(float(np.percentile(distance * np.sqrt(np.pi / (k + 0.5)), 95)), least)

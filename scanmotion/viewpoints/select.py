@@ -36,6 +36,9 @@ class SelectOptions:
     """Most viewpoints chosen in one round."""
     least_rate: float = 2.5e-5
     """A viewpoint that adds less than this share of the surface per second is not worth its seconds [1/s]."""
+    wary: float = 0.0
+    """Of the greatest incidence, kept in hand when seeing is promised: the normals of what was missed are
+    guessed [rad]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -112,9 +115,12 @@ def local_step(
         return LocalStep(viewpoints=(), unseen=vain, model=model, targets=none, claimed=none, gains=())
     # What lies behind a target is farther than the target.
     least, most = scanner.range
+    careful = replace(
+        scanner, range=(least, most - options.behind), max_incidence=scanner.max_incidence - options.wary
+    )
     found = candidates(
         sight_of(model, table_radius=table_radius, table_z=table_z, pedestal_radius=pedestal_radius),
-        replace(scanner, range=(least, most - options.behind)), targets,
+        careful, targets,
         solid=model.vertices, holes=holes, reachable=reachable, table_radius=table_radius, table_z=table_z,
         options=options.candidates,
     )  # fmt: skip

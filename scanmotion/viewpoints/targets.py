@@ -26,6 +26,9 @@ class TargetOptions:
     before a measured surface hides nothing."""
     beside: float = 3.0
     """How near to such a triangle."""
+    sure: float = 2.5
+    """Where the frames are not known, missed triangles count only about one that is farther than this from
+    the data: random points leave gaps of 1.5 everywhere, but of 2.5 only about one of 3e8."""
     most: int = 2500
     """Most targets."""
 
@@ -92,15 +95,25 @@ def missed(
     standing = (centres[:, 2] < table_z + 2 * model.cell) & (normals[:, 2] < _FACES_TABLE)
     distance = np.where(standing, 0.0, model.distance)
     far = distance > options.gap * spacing
+    if space is None:
+        far &= _about(centres, distance > options.sure * spacing, options.beside * spacing)
     found = [Targets(points=centres[far], normals=normals[far], areas=twice[far] / 2)]
     if space is None:
-        found += [_over(hole, 1.5 * spacing) for hole in holes]
+        over = [_over(hole, 1.5 * spacing) for hole in holes]
+        found += [o.only(~near(o, centres[far], 2.0 * spacing)) for o in over]
     else:
         unsure = centres[distance > options.unsure * spacing]
         found.append(_open_space(space, measured, unsure, centres[far], options.beside * spacing, table_z))
     return Targets(
         **{name: np.concatenate([getattr(t, name) for t in found]) for name in ("points", "normals", "areas")}
     )
+
+
+def _about(places: np.ndarray, sure: np.ndarray, reach: float) -> np.ndarray:
+    """Which places (n, 3) lie within `reach` [m] of those that `sure` (n,) marks, shape (n,)."""
+    if not sure.any():
+        return sure
+    return cKDTree(places[sure]).query(places, distance_upper_bound=reach)[0] < np.inf
 
 
 def near(targets: Targets, places: np.ndarray | None, reach: float) -> np.ndarray:

@@ -1,0 +1,85 @@
+"""What the twin shows to be worth less than its seconds, once all rounds are done."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from scanmotion.cell.kinematics import scanner_poses
+from scanmotion.cell.plant import Cell
+from scanmotion.legs import Leg, costs
+from scanmotion.part import SurfaceSamples
+from scanmotion.scan.captures import captures_from_trajectory
+from scanmotion.trajectory import Trajectory
+from scanmotion.viewpoints.coverage import Scene, seen_by_any
+
+
+def stop_masks(
+    cell: Cell,
+    trajectory: Trajectory,
+    scene: Scene,
+    samples: SurfaceSamples,
+    which: np.ndarray,
+    *,
+    most: int | None = None,
+) -> list[np.ndarray]:
+    """What each scanning operation sees at its nominal poses, shape (m,) bool each.
+
+    Args:
+        cell: scanner, table and frame rate.
+        trajectory: the programme.
+        scene: what blocks sight.
+        samples: of the surface.
+        which: indices of the samples that are asked about, shape (m,).
+        most: frames of an operation that are looked at; None for all.
+    """
+    settings = cell.settings
+    captures = captures_from_trajectory(
+        trajectory, lambda q: scanner_poses(cell, q), fps=settings.process.fps, X_WT=cell.X_WT, X_TO=cell.X_TO
+    )
+    scanner, X_OS = settings.scanner_model(), captures.X_OS
+    points, normals = samples.points[which], samples.normals[which]
+    masks = []
+    for o in trajectory.operations:
+        if o.scanning:
+            frames = np.flatnonzero((captures.t >= o.t_start - 1e-9) & (captures.t <= o.t_end + 1e-9))
+            step = 1 if most is None else max(1, len(frames) // most)
+            masks.append(seen_by_any(scene, scanner, X_OS[frames[::step]], points, normals))
+    return masks
+
+
+def not_worth(
+    cell: Cell, legs: Sequence[Leg], scene: Scene, samples: SurfaceSamples, open_: np.ndarray, *, rate: float
+) -> dict[str, str]:
+    """Local viewpoints that add less than they are worth, by id, with the reason.
+
+    The least worthy goes first; what it alone saw of what another one saw too then counts for that one.
+
+    Args:
+        cell: the cell.
+        legs: of the local rounds, in order.
+        scene: what blocks sight.
+        samples: of the surface.
+        open_: indices of the samples that the global step has not seen, shape (m,).
+        rate: least share of the surface that a second adds [1/s].
+    """
+    names: list[tuple[str, ...]] = []
+    seconds: list[float] = []
+    masks: list[np.ndarray] = []
+    for leg in legs:
+        if leg.trajectory is not None:
+            names += [stop.viewpoints for stop in leg.tour.stops]
+            seconds += costs(cell, leg.tour, leg.trajectory)
+            masks += stop_masks(cell, leg.trajectory, scene, samples, open_)
+    out: dict[str, str] = {}
+    kept = list(range(len(names)))
+    while kept:
+        count = np.sum([masks[k] for k in kept], axis=0)
+        adds = np.array([(masks[k] & (count == 1)).sum() for k in kept]) / len(samples.points)
+        worth = adds / np.maximum([seconds[k] for k in kept], 1e-3)
+        least = int(np.argmin(worth))
+        if worth[least] >= rate:
+            break
+        reason = f"not worth its seconds: it adds {adds[least]:.3%} in {seconds[kept[least]]:.1f} s"
+        out.update(dict.fromkeys(names[kept[least]], reason))
+        del kept[least]
+    return out
