@@ -17,9 +17,10 @@ from scanmotion.viewpoints.targets import TargetOptions
 
 THOROUGH_RATE = 2.5e-6
 """Least share of the surface per second that a viewpoint of a thorough plan adds [1/s]."""
-_WARY, _WARY_OF_FILES = np.deg2rad(8.0), np.deg2rad(15.0)
+_WARY, _WARIER, _WARIEST, _WARY_OF_FILES = (float(np.deg2rad(a)) for a in (8, 12, 32, 15))
 """Incidence kept in hand [rad]; of a scan that comes as a file nobody knows what its frames looked through,
-and no second round mends what the first promised in vain."""
+and no second round mends what the first promised in vain. Where a round keeps less than half of its promises,
+the normals are worse than that: the next one keeps more in hand, and may try the same places."""
 _LEAST_KEPT = 0.05
 """A round that kept less of its promises is taken for one that kept so much."""
 _SAME_PLACE, _SAME_DIRECTION = 0.06, np.deg2rad(12.0)
@@ -45,6 +46,7 @@ class Search:
         self._scanner, self._around, self._voxel = scanner, surroundings, voxel
         self._space = Space(scanner, edge=voxel, stride=stride, table_z=surroundings.table_z)
         self._frames = 0
+        self._wary = _WARY
         self._model: ClosedModel | None = None
         self._claimed: list[np.ndarray] = []
         self._tried: list[np.ndarray] = []
@@ -81,7 +83,11 @@ class Search:
             rng: draws the targets.
         """
         # What the last round did not keep of its promises, this one will not keep either.
-        rate = rate / self._kept(cloud)
+        kept = self._kept(cloud)
+        if kept < 0.5 and self._wary < _WARIEST:
+            self._wary = min(self._wary + _WARIER, _WARIEST)
+            self._claimed, kept = [], 0.5
+        rate = rate / kept
         step = local_step(
             cloud.points, cloud.normals, holes, self._scanner,
             spacing=self._voxel,
@@ -89,7 +95,7 @@ class Search:
             claimed=np.concatenate(self._claimed) if self._claimed else None,
             model=self._model,
             seconds=seconds,
-            options=SelectOptions(least_rate=rate, wary=_WARY if self._frames else _WARY_OF_FILES),
+            options=SelectOptions(least_rate=rate, wary=self._wary if self._frames else _WARY_OF_FILES),
             table_radius=self._around.table_radius,
             table_z=self._around.table_z,
             pedestal_radius=self._around.pedestal_radius,
