@@ -19,6 +19,8 @@ FIT = 16
 PITCH = 8
 WEAK = 1.0
 """Radius of an empty disc that joins two larger ones: a gap may be narrower in places."""
+AVERAGED = 0.1
+"""What it takes more in averaged clouds, whose sparse parts stay sparse: there two holes would be joined."""
 LEAST = 1.15
 """Radius of an empty disc that counts, in pitches; even samples leave 0.7 to 1.1, random ones 1.5."""
 EVEN, RANDOM = 1.05, 2.3
@@ -104,16 +106,23 @@ def sampling_of(points: np.ndarray) -> Sampling:
     )
 
 
-def rims_of(sampling: Sampling) -> tuple[list[Rim], list[Rim]]:
-    """Rims of the holes, and of gaps that are too small to be planned for."""
+def rims_of(sampling: Sampling, *, averaged: bool = False) -> tuple[list[Rim], list[Rim]]:
+    """Rims of the holes, and of gaps that are too small to be planned for.
+
+    Args:
+        sampling: of the cloud.
+        averaged: whether its points are means of others.
+    """
     radii = cell_radii(sampling.tree, sampling.normals, sampling.nearest[:, 1:], sampling.unit)
     usual = float(np.percentile(radii, 90))
     random = RANDOM * max(usual - EVEN, 0.0)
-    suspects = np.flatnonzero((radii > WEAK + random) & (sampling.fold < BENT))
+    weak = WEAK + random + (AVERAGED if averaged else 0.0)
+    suspects = np.flatnonzero((radii > weak) & (sampling.fold < BENT))
     if not len(suspects):
         return [], []
-    least = max(LEAST, WEAK + random)
-    found = rim_set(sampling.tree, sampling.normals, suspects, sampling.unit, least=least, weak=WEAK + random)
+    found = rim_set(
+        sampling.tree, sampling.normals, suspects, sampling.unit, least=max(LEAST, weak), weak=weak
+    )
     order = np.argsort(found.label, kind="stable")
     groups = np.split(order, np.cumsum(np.bincount(found.label))[:-1])
     rims = [_open_rim(sampling, found, g, usual) for g in groups if found.missing[found.label[g[0]]] > TINY]
