@@ -145,6 +145,17 @@ def test_patches_thinned_at_random_are_no_holes(seed: int, kept: float) -> None:
     assert holes_from_cloud(points[~patch]).holes == ()
 
 
+@pytest.mark.parametrize("seed", [0, 3, 8])
+def test_wide_patches_thinned_at_random_are_no_holes(seed: int) -> None:
+    """The wider the patch, the more wide gaps chance leaves in it; and the scan is noisy."""
+    rng = np.random.default_rng(seed)
+    points = even_samples(*sphere_mesh(500), 0.0022, rng=rng)[0]
+    points = points + rng.normal(0, 0.0004, points.shape)
+    axes = Rotation.random(3, rng=rng).as_matrix()[:, 0]
+    patch = (points @ axes.T > 0.09).any(axis=1) & (rng.random(len(points)) > 0.4)
+    assert holes_from_cloud(points[~patch]).holes == ()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_small_hole_across_a_right_angle_is_one_hole(seed: int) -> None:
     """No tangent plane at the edge of a box: the rim is cut there unless folded points take part."""

@@ -39,6 +39,9 @@ CORE = 20.0
 """Samples missing at the wide discs of a hole that is worth a viewpoint; more where sampling is random."""
 THIN, SURE = 1.06, 1.09
 """Pitch at a rim against that around it from which the patch may be, and surely is, thinner."""
+NARROW = 0.4
+"""Share of wide discs under which the patch at a surely thinner rim is itself only thinner, however large: the
+wide gaps that chance leaves in it grow with its area, their share does not."""
 DOUBT = 25.0
 """Further samples that must be missing in a thin patch: a third if most discs are wide, twice if folded."""
 AROUND = 20.0
@@ -149,6 +152,8 @@ def _open_rim(sampling: Sampling, found: RimSet, group: np.ndarray, usual: float
         return None
     frayed = wide.mean() < 0.5
     thin = (sparse - 0.4 * max(usual - EVEN, 0.0) - THIN) / (SURE - THIN)
+    if thin >= 1.0 and wide.mean() < NARROW:
+        return None
     doubt = DOUBT * (1.0 if frayed else 1.0 / 3.0) * (2.0 if folded > CREASED else 1.0)
     core = float(found.excess[group][wide].sum())
     needed = CORE * max(1.0, 1.08 * usual / LEAST) ** 2 + doubt * float(np.clip(thin, 0.0, 1.0))
