@@ -40,8 +40,8 @@ CORE = 20.0
 THIN, SURE = 1.06, 1.09
 """Pitch at a rim against that around it from which the patch may be, and surely is, thinner."""
 NARROW = 0.4
-"""Share of wide discs under which the patch at a surely thinner rim is itself only thinner, however large: the
-wide gaps that chance leaves in it grow with its area, their share does not."""
+"""Share of wide discs under which the patch at a surely thinner rim is only thinner, however large: the wide
+gaps that chance leaves in it grow in number with its area, not in share."""
 DOUBT = 25.0
 """Further samples that must be missing in a thin patch: a third if most discs are wide, twice if folded."""
 AROUND = 20.0
