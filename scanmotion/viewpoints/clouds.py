@@ -11,6 +11,10 @@ from scanmotion.viewpoints.rims import Sampling, sampling_of
 
 UNEVEN = 1.5
 """Spread of the local pitch over which a cloud is averaged in voxels first."""
+COARSE = 1.1
+"""Side of the voxels against the pitch in the sparse parts."""
+APART = 0.7
+"""Least distance of the voxels' seeds against their side: dense parts then get the pitch of a cubic grid."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -22,6 +26,8 @@ class Prepared:
     """One point of the input for each point of the sampling, shape (m,)."""
     directions: np.ndarray | None
     """Towards the outside, shape (m, 3)."""
+    averaged: bool
+    """Whether points were averaged."""
     notes: tuple[str, ...]
 
 
@@ -33,7 +39,7 @@ def prepared(
     Args:
         points: shape (n, 3) [m]. directions: towards the outside, shape (n, 3).
         least: points that are needed.
-        voxel: side of the cubes [m]; 0 for none; by default only where the pitch is uneven.
+        voxel: width of the cells [m]; 0 for none; by default only where the pitch is uneven.
         literal: never average by default.
 
     Raises:
@@ -51,7 +57,8 @@ def prepared(
     toward = None if directions is None else directions[first]
     sampling = None if voxel else sampling_of(cloud)
     if voxel is None and not literal and sampling is not None and unevenness(sampling) > UNEVEN:
-        voxel = 1.25 * float(np.percentile(sampling.unit, 95))
+        # two digits: what rounding does to the pitch of a moved cloud must not reach its cells
+        voxel = float(f"{COARSE * float(np.percentile(sampling.unit, 95)):.1e}")
         notes = (*notes, f"the cloud is uneven: averaged in voxels of {voxel:.3g} m")
     if voxel:
         cloud, mean, inverse = evened(cloud, toward, voxel)
@@ -61,32 +68,73 @@ def prepared(
             raise HoleError(f"voxels of {voxel:.3g} m leave {len(cloud)} points; {least} are needed")
         sampling = sampling_of(cloud)
     assert sampling is not None
-    return Prepared(sampling=sampling, first=first, directions=toward, notes=notes)
+    return Prepared(sampling=sampling, first=first, directions=toward, averaged=bool(voxel), notes=notes)
 
 
 def evened(points: np.ndarray, directions: np.ndarray | None, voxel: float) -> tuple[np.ndarray, ...]:
-    """Means of the points in each cube of a grid.
+    """Means of the points about seeds that lie evenly: unlike a grid's, they turn with the cloud.
 
     Args:
-        points: shape (n, 3) [m]. directions: vectors at the points, shape (n, 3). voxel: side [m].
+        points: shape (n, 3) [m]. directions: vectors at the points, shape (n, 3).
+        voxel: width of the cell about a seed [m]; the seeds are at least APART of it from each other.
 
     Returns:
-        Mean points (m, 3), mean directions (m, 3) (zeros without), cube of each point (n,).
+        Mean points (m, 3), mean directions (m, 3) (zeros without), cell of each point (n,).
     """
-    low = points.min(axis=0)
-    cube = np.floor((points - low) / voxel).astype(np.int64)
-    span = cube.max(axis=0) + 1
-    _, inverse, count = np.unique(
-        (cube[:, 0] * span[1] + cube[:, 1]) * span[2] + cube[:, 2], return_inverse=True, return_counts=True
-    )
-    inverse = inverse.ravel()
+    middle = points.mean(axis=0)
+    away = ((points - middle) ** 2).sum(axis=1)
+    # from the middle outwards the seeds pack closely; copies are gone, so ties are broken by the coordinates
+    order = np.lexsort((*points.T, away))
+    seeds = order[spread(points, order, APART * voxel)[order]]
+    distance, nearest = cKDTree(points[seeds]).query(points, min(2, len(seeds)), workers=-1)
+    distance, nearest = distance.reshape(len(points), -1), nearest.reshape(len(points), -1)
+    # between two seeds, as on the grid of a range image, the inner one has it
+    tied = distance[:, -1] - distance[:, 0] < 1e-9 * voxel
+    cell = np.where(tied, nearest.min(axis=1), nearest[:, 0])
+    count = np.bincount(cell, minlength=len(seeds))
 
     def mean(values: np.ndarray) -> np.ndarray:
-        sums = [np.bincount(inverse, values[:, axis], len(count)) for axis in range(3)]
+        sums = [np.bincount(cell, values[:, axis], len(seeds)) for axis in range(3)]
         return np.stack(sums, axis=1) / count[:, None]
 
     around = np.zeros_like(points) if directions is None else directions
-    return mean(points - low) + low, mean(around), inverse
+    return mean(points - middle) + middle, mean(around), cell
+
+
+def spread(points: np.ndarray, order: np.ndarray, distance: float) -> np.ndarray:
+    """Which points are taken, going in the given order: none closer than `distance` to one before it."""
+    low = points.min(axis=0)
+    cube = np.floor((points - low) / distance).astype(np.int64) + 1
+    span = cube.max(axis=0) + 2
+    key = (cube[:, 0] * span[1] + cube[:, 1]) * span[2] + cube[:, 2]
+    return _spread(points, order, key, np.unique(key), span[1], span[2], distance**2)
+
+
+@njit(cache=True)
+def _spread(points, order, key, cells, wide, high, square):
+    kept = np.zeros(len(points), np.bool_)
+    last = np.full(len(cells), -1)
+    before = np.full(len(points), -1)
+    for i in order:
+        free = True
+        for column in range(9):
+            middle = key[i] + (column // 3 - 1) * wide * high + (column % 3 - 1) * high
+            c = np.searchsorted(cells, middle - 1)
+            while free and c < len(cells) and cells[c] <= middle + 1:
+                j = last[c]
+                while free and j >= 0:
+                    away = 0.0
+                    for axis in range(3):
+                        away += (points[i, axis] - points[j, axis]) ** 2
+                    free = away >= square
+                    j = before[j]
+                c += 1
+        if free:
+            kept[i] = True
+            c = np.searchsorted(cells, key[i])
+            before[i] = last[c]
+            last[c] = i
+    return kept
 
 
 def unevenness(sampling: Sampling) -> float:

@@ -110,7 +110,7 @@ def holes_from_cloud(
             0.75 at 45 deg.
         min_points: points that make a core of DBSCAN, paper's way; 5.
         min_size: perimeter under which a hole is tiny [m]; by default the missing samples decide.
-        voxel: side of the cubes in which the points are averaged first [m]; 0 for never; by default only
+        voxel: width of the cells in which the points are averaged first [m]; 0 for never; by default only
             where the pitch is uneven, as in overlapping range scans.
 
     Returns:
@@ -139,7 +139,7 @@ def holes_from_cloud(
         angle = (np.pi / 4 if mode == "paper" else np.pi / 2) if threshold is None else threshold
         rims, tiny = literal_rims(sampling, radius, angle, eps, min_points)
     else:
-        rims, tiny = rims_of(sampling)
+        rims, tiny = rims_of(sampling, averaged=cloud.averaged)
     if directions is None and (rims or tiny):
         notes = (*notes, "normals were oriented by a spanning tree: no view directions given")
     out = _out_of(sampling, cloud.directions) if rims or tiny else sampling.normals

@@ -19,7 +19,8 @@ def ordered_loop(points: np.ndarray) -> np.ndarray:
     """Order of rim points along the rim: a short closed tour, improved by 2-opt and point moves.
 
     A tour of least length does not cross itself, so it follows both sides of a narrow or branching gap, and
-    it needs no common plane. It starts from nearest neighbours, from the lexicographically first point.
+    it needs no common plane. It starts from nearest neighbours, from the outermost point, and so turns
+    with the rim.
 
     Args:
         points: rim points in any order, shape (k, 3).
@@ -29,7 +30,9 @@ def ordered_loop(points: np.ndarray) -> np.ndarray:
     """
     if len(points) < 4:
         return np.arange(len(points))
-    start = int(np.lexsort(points.T[::-1])[0])
+    order = np.lexsort(points.T[::-1])
+    away = ((points[order] - points[order].mean(axis=0)) ** 2).sum(axis=1)
+    start = int(order[away.argmax()])
     return _tour(np.ascontiguousarray(points, dtype=float), start)
 
 

@@ -19,6 +19,8 @@ FIT = 16
 PITCH = 8
 WEAK = 1.0
 """Radius of an empty disc that joins two larger ones: a gap may be narrower in places."""
+AVERAGED = 0.1
+"""What it takes more in averaged clouds, whose sparse parts stay sparse: there two holes would be joined."""
 LEAST = 1.15
 """Radius of an empty disc that counts, in pitches; even samples leave 0.7 to 1.1, random ones 1.5."""
 EVEN, RANDOM = 1.05, 2.3
@@ -37,6 +39,9 @@ CORE = 20.0
 """Samples missing at the wide discs of a hole that is worth a viewpoint; more where sampling is random."""
 THIN, SURE = 1.06, 1.09
 """Pitch at a rim against that around it from which the patch may be, and surely is, thinner."""
+NARROW = 0.4
+"""Share of wide discs under which the patch at a surely thinner rim is only thinner, however large: the wide
+gaps that chance leaves in it grow in number with its area, not in share."""
 DOUBT = 25.0
 """Further samples that must be missing in a thin patch: a third if most discs are wide, twice if folded."""
 AROUND = 20.0
@@ -104,16 +109,23 @@ def sampling_of(points: np.ndarray) -> Sampling:
     )
 
 
-def rims_of(sampling: Sampling) -> tuple[list[Rim], list[Rim]]:
-    """Rims of the holes, and of gaps that are too small to be planned for."""
+def rims_of(sampling: Sampling, *, averaged: bool = False) -> tuple[list[Rim], list[Rim]]:
+    """Rims of the holes, and of gaps that are too small to be planned for.
+
+    Args:
+        sampling: of the cloud.
+        averaged: whether its points are means of others.
+    """
     radii = cell_radii(sampling.tree, sampling.normals, sampling.nearest[:, 1:], sampling.unit)
     usual = float(np.percentile(radii, 90))
     random = RANDOM * max(usual - EVEN, 0.0)
-    suspects = np.flatnonzero((radii > WEAK + random) & (sampling.fold < BENT))
+    weak = WEAK + random + (AVERAGED if averaged else 0.0)
+    suspects = np.flatnonzero((radii > weak) & (sampling.fold < BENT))
     if not len(suspects):
         return [], []
-    least = max(LEAST, WEAK + random)
-    found = rim_set(sampling.tree, sampling.normals, suspects, sampling.unit, least=least, weak=WEAK + random)
+    found = rim_set(
+        sampling.tree, sampling.normals, suspects, sampling.unit, least=max(LEAST, weak), weak=weak
+    )
     order = np.argsort(found.label, kind="stable")
     groups = np.split(order, np.cumsum(np.bincount(found.label))[:-1])
     rims = [_open_rim(sampling, found, g, usual) for g in groups if found.missing[found.label[g[0]]] > TINY]
@@ -140,6 +152,8 @@ def _open_rim(sampling: Sampling, found: RimSet, group: np.ndarray, usual: float
         return None
     frayed = wide.mean() < 0.5
     thin = (sparse - 0.4 * max(usual - EVEN, 0.0) - THIN) / (SURE - THIN)
+    if thin >= 1.0 and wide.mean() < NARROW:
+        return None
     doubt = DOUBT * (1.0 if frayed else 1.0 / 3.0) * (2.0 if folded > CREASED else 1.0)
     core = float(found.excess[group][wide].sum())
     needed = CORE * max(1.0, 1.08 * usual / LEAST) ** 2 + doubt * float(np.clip(thin, 0.0, 1.0))

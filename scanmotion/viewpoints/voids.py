@@ -79,8 +79,12 @@ def _cell(P, n, points, row, unit, cap, x, y, gen, keep):
     """Voronoi cell of P in its tangent plane within cap * unit: corners (x, y), the edges' generators."""
     (ux, uy, uz), (vx, vy, vz) = _frame(n)
     m = _CORNERS
+    j = row[0]
+    dx, dy, dz = points[j, 0] - P[0], points[j, 1] - P[1], points[j, 2] - P[2]
+    # the corners that nothing clips must turn with the cloud: the first lies towards the nearest neighbour
+    first = np.arctan2(dx * vx + dy * vy + dz * vz, dx * ux + dy * uy + dz * uz)
     for i in range(m):
-        a = 2.0 * np.pi * i / m
+        a = first + 2.0 * np.pi * i / m
         x[i], y[i], gen[i] = cap * unit * np.cos(a), cap * unit * np.sin(a), -1
     reach = cap * unit
     for j in row:
