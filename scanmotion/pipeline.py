@@ -1,7 +1,7 @@
 """The whole trip on one screen: a part and a cell in, a Plan out. Nobody else knows the stages' order."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from scanmotion.cell.config import CellSettings
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.plant import Cell, build_cell, check_room
 from scanmotion.errors import InputError, PartError
+from scanmotion.joining import joined
 from scanmotion.legs import Leg, Progress, leg_from, renamed, silent
 from scanmotion.motion.reach import reachable_mask
 from scanmotion.outcome import Plan, Round, Stopwatch
@@ -22,7 +23,8 @@ from scanmotion.scan.merge import merged
 from scanmotion.scan.simulate import Scan, ScanErrors, captures_from_trajectory, simulate
 from scanmotion.scanner import Scanner
 from scanmotion.search import THOROUGH_RATE, Search, Surroundings
-from scanmotion.trajectory import Trajectory, joined
+from scanmotion.trajectory import Trajectory
+from scanmotion.trajectory import joined as in_a_row
 from scanmotion.viewpoints.cad_slicing import cad_slicing
 from scanmotion.viewpoints.coverage import Scene, scene_from, visible
 from scanmotion.viewpoints.holes import HoleReport, holes_from_cloud
@@ -80,6 +82,8 @@ class PlanOptions:
     """Only what the robot reaches is chosen; False: reach is asked for afterwards."""
     turntable: Literal["axis", "fallback"] = "axis"
     """axis: the table is a seventh axis. fallback: it turns for stations only where the arm alone cannot."""
+    helix: bool = False
+    """Neighbouring turns of the global step may be joined, the arm moving while the table turns."""
 
     def __post_init__(self) -> None:
         for name, known in (
@@ -92,6 +96,7 @@ class PlanOptions:
                 raise InputError(f"unknown {name} {getattr(self, name)!r}; known: {', '.join(known)}")
         if self.source != "mesh":
             uses = {"calibrate": "calibrate from", "surface": "make a surface of", "keep_scans": "save"}
+            uses["helix"] = "compare turns by"
             asked = [use for name, use in uses.items() if getattr(self, name)]
             if asked:
                 raise InputError(f"a {self.source} is not scanned by the twin: no scans to {asked[0]}")
@@ -149,6 +154,7 @@ class Trip:
         self.holes: HoleReport | None = None
         self.dropped: list[tuple[str, str]] = []
         self.unscanned: tuple = ()
+        self.helix: dict[str, Any] | None = None
         self.search = Search(self.scanner, self._surroundings(), voxel=options.voxel, stride=options.stride)
         self.scene: Scene | None = None
         self.samples: SurfaceSamples | None = None
@@ -265,7 +271,7 @@ class Trip:
 
     def _reachable(self, X_OS: np.ndarray) -> np.ndarray:
         """What the robot reaches without going far from its way."""
-        stops = [stop.q_in for item in self.rounds[:1] for stop in item.leg.tour.stops]
+        stops = [q for item in self.rounds[:1] for stop in item.leg.tour.stops for q in stop.places]
         return reachable_mask(
             self.cell, X_OS, clearance=self.clearance,
             near_q=np.array([self.cell.home, *stops]), within_s=_SIDE_TRIP_S,
@@ -292,32 +298,40 @@ class Trip:
                 mode=self.options.mode, table=self.options.turntable, worth=worth, rng=rng,
                 progress=self.progress,
             )  # fmt: skip
-        self.take(leg, step, rng)
+        scan = None
+        if self.options.helix and step == "global" and leg.trajectory is not None:
+            with self.watch("helix"):
+                made = joined(self.cell, self.clearance, leg, self._simulated, rng)
+            leg, scan, self.helix = made.leg, made.scan, made.record
+        self.take(leg, step, rng, scan)
         given_up = {v for v, _ in leg.unreachable}
         self.search.tried([v.X_OS for v in views if v.id in given_up or v.kind == "station"])
 
-    def take(self, leg: Leg, step: str, rng: np.random.Generator) -> None:
-        """Appends a leg that begins where the programme stands, and lets the twin scan along it."""
+    def take(self, leg: Leg, step: str, rng: np.random.Generator, scan: Scan | None = None) -> None:
+        """Appends a leg that begins where the programme stands; unless it has, the twin scans along it."""
         if leg.trajectory is not None:
             before = self.trajectory
-            self.trajectory = leg.trajectory if before is None else joined(before, leg.trajectory)
+            self.trajectory = leg.trajectory if before is None else in_a_row(before, leg.trajectory)
             if self.options.source == "mesh":
                 with self.watch("twin"):
-                    self._scan(leg.trajectory, rng)
+                    self._look(self._simulated(leg.trajectory, rng) if scan is None else scan)
         self.rounds.append(Round(step=step, leg=leg, seen=self.seen.copy()))
 
-    def _scan(self, trajectory: Trajectory, rng: np.random.Generator) -> None:
+    def _simulated(self, trajectory: Trajectory, rng: np.random.Generator) -> Scan:
         assert self.scene is not None
         captures = captures_from_trajectory(
             trajectory, lambda q: scanner_poses(self.cell, q),
             fps=self.settings.process.fps, X_WT=self.cell.X_WT, X_TO=self.cell.X_TO,
         )  # fmt: skip
-        scan = simulate(
+        return simulate(
             self.scene, self.scanner, captures,
             errors=self.errors, stride=self.options.stride, rng=rng, samples=self.samples,
             known=self.seen,
             progress=lambda f: self.progress("twin", f),
         )  # fmt: skip
+
+    def _look(self, scan: Scan) -> None:
+        """Adds a scan to what is known."""
         if self.mender is not None:
             scan = self.mender.mended(scan, self.cloud, index=len(self.rounds))
         self.scans.append(scan)
@@ -377,5 +391,5 @@ class Trip:
             out_of_reach=out_of_reach,
             dropped=tuple(self.dropped), unscanned=self.unscanned, planning_s=self.watch.seconds(),
             scans=tuple(self.scans) if self.options.keep_scans else (),
-            mending=None if self.mender is None else self.mender.mending,
+            mending=None if self.mender is None else self.mender.mending, helix=self.helix,
         )  # fmt: skip

@@ -24,7 +24,8 @@ MAY_IMPORT = {
     "export": NOUNS | {"export", "planfile", "viewpoints"},
     "search": NOUNS | {"viewpoints", "scan"},
     "pipeline": NOUNS
-    | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "outcome", "search"},
+    | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "outcome", "search", "joining"},
+    "joining": NOUNS | {"cell", "scan", "legs"},
     "loaded": NOUNS | {"viewpoints", "cell", "planfile", "summaryfile"},
     "replan": NOUNS
     | {"cell", "scan", "motion", "planfile", "legs", "outcome", "pipeline", "loaded"}
