@@ -14,7 +14,7 @@ from scanmotion.scan.simulate import Scan
 from scanmotion.trajectory import Trajectory
 
 OVERLAPS = (1.0, 0.5, 0.0)
-"""Shares of the arm's ways that count for the whole turn of a viewpoint; at 0 the arm stands for all of it."""
+"""Shares of the arm's ways that count for a viewpoint's whole turn; at 0 the arm stands for all of it."""
 MOST_LOST = 0.001
 """Share of what still revolutions see that may be lost."""
 
