@@ -11,9 +11,11 @@ from scanmotion.cell.plant import Cell
 from scanmotion.cell.robot import clean_angle
 from scanmotion.errors import PathError
 from scanmotion.motion.candidates import candidates
+from scanmotion.motion.floor import floor_seconds
+from scanmotion.motion.join import joined_stops
 from scanmotion.motion.reach import Reach, ReachOptions, reach
 from scanmotion.motion.seconds import move_matrix, move_model
-from scanmotion.motion.sequence import sequence
+from scanmotion.motion.sequence import sequence, tour_seconds
 from scanmotion.motion.timing import time_plan
 from scanmotion.motion.tour import Path, Tour
 from scanmotion.motion.transit import transits
@@ -114,6 +116,43 @@ def leg_from(
     return Leg(
         reaches=tuple(reaches), tour=tour, paths=paths, trajectory=trajectory, unreachable=unreachable
     )  # fmt: skip
+
+
+def joined_leg(
+    cell: Cell, clearance: Clearance, leg: Leg, overlap: float, *, rng: np.random.Generator
+) -> Leg | None:
+    """The leg with neighbouring revolutions joined to helices; None where that cannot be, or saves nothing.
+
+    Args:
+        cell: the cell, with the part that is scanned.
+        clearance: the collision checker of the cell.
+        leg: what was planned with every revolution by itself; a viewpoint stands in one stop only.
+        overlap: share of the arm's ways that counts for the whole turn of each viewpoint, 0..1.
+        rng: source of the planner's random numbers.
+    """
+    if leg.trajectory is None:
+        return None
+    seconds, way = [], 0.0
+    for o in leg.trajectory.operations:
+        if o.scanning:
+            seconds.append(way)
+        way = 0.0 if o.scanning else o.t_end - o.t_start
+    start = leg.tour.start_q
+    stops = joined_stops(cell, clearance, start, leg.tour.stops, seconds, overlap)
+    if all(stop.kind != "helix" for stop in stops):
+        return None
+    model, views = move_model(cell), {r.viewpoint.id: r.viewpoint for r in leg.reaches}
+    tour = replace(
+        leg.tour, stops=stops, seconds=tour_seconds(model, start, stops),
+        floor=floor_seconds(cell, model, start, stops, views),
+    )  # fmt: skip
+    try:
+        paths = tuple(transits(cell, clearance, tour, rng=rng))
+    except PathError:
+        return None
+    made = replace(leg, tour=tour, paths=paths, trajectory=time_plan(cell, tour, paths))
+    assert made.trajectory is not None
+    return made if made.trajectory.duration < leg.trajectory.duration else None
 
 
 def _detours(trajectory: Trajectory, local: set[str], longest: float) -> dict[str, str]:

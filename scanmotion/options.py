@@ -49,6 +49,8 @@ class PlanOptions:
     """Only what the robot reaches is chosen; False: reach is asked for afterwards."""
     turntable: Literal["axis", "fallback"] = "axis"
     """axis: the table is a seventh axis. fallback: it turns for stations only where the arm alone cannot."""
+    helix: bool = False
+    """Neighbouring turns of the global step may be joined, the arm moving while the table turns."""
 
     def __post_init__(self) -> None:
         for name, known in (
@@ -61,6 +63,7 @@ class PlanOptions:
                 raise InputError(f"unknown {name} {getattr(self, name)!r}; known: {', '.join(known)}")
         if self.source != "mesh":
             uses = {"calibrate": "calibrate from", "surface": "make a surface of", "keep_scans": "save"}
+            uses["helix"] = "compare turns by"
             asked = [use for name, use in uses.items() if getattr(self, name)]
             if asked:
                 raise InputError(f"a {self.source} is not scanned by the twin: no scans to {asked[0]}")

@@ -100,6 +100,8 @@ class Plan:
     """What the twin measured, as it was fused; only where PlanOptions.keep_scans asks for it."""
     mending: Mending | None = None
     """Calibration and registration, where there were any."""
+    helix: dict[str, Any] | None = None
+    """What came of joining turns, where that was allowed."""
 
     @property
     def viewpoints(self) -> tuple[Viewpoint, ...]:
@@ -167,7 +169,7 @@ class Plan:
         split = {"arm": 0.0, "table": 0.0, "sweep": 0.0, "dwell": 0.0}
         for o in self.trajectory.operations if self.trajectory is not None else ():
             arm_moves = np.abs(o.q_end[:6] - o.q_start[:6]).max() > 1e-9
-            key = {"revolution": "table", "sweep": "sweep", "dwell": "dwell"}.get(o.kind)
+            key = {"revolution": "table", "helix": "table", "sweep": "sweep", "dwell": "dwell"}.get(o.kind)
             split[key or ("arm" if arm_moves else "table")] += o.t_end - o.t_start
         total = self.trajectory.duration if self.trajectory is not None else 0.0
         floor = sum(r.leg.tour.floor for r in self.rounds)
@@ -219,6 +221,7 @@ class Plan:
             "registration": registration_records(self.mending),
             "time_s": {k: round(v, 3) for k, v in time_s.items()},
             "budget": self.budget(),
+            **({} if self.helix is None else {"helix": self.helix}),
             "findings": [str(f) for f in self.findings],
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
         }

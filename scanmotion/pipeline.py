@@ -1,6 +1,7 @@
 """The whole trip on one screen: a part and a cell in, a Plan out. Nobody else knows the stages' order."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -8,6 +9,7 @@ from scanmotion.cell.clearance import Clearance
 from scanmotion.cell.config import CellSettings
 from scanmotion.cell.plant import Cell, build_cell, check_room
 from scanmotion.errors import PartError
+from scanmotion.joining import joined
 from scanmotion.legs import Leg, Progress, leg_from, renamed, silent, with_left_out
 from scanmotion.motion.reach import reachable_mask
 from scanmotion.options import PlanOptions
@@ -22,7 +24,8 @@ from scanmotion.scan.simulate import Scan, ScanErrors
 from scanmotion.scanner import Scanner
 from scanmotion.search import THOROUGH_RATE, Search, Surroundings
 from scanmotion.tidy import not_worth
-from scanmotion.trajectory import Trajectory, joined
+from scanmotion.trajectory import Trajectory
+from scanmotion.trajectory import joined as in_a_row
 from scanmotion.twin import Twin
 from scanmotion.viewpoints.cad_slicing import cad_slicing
 from scanmotion.viewpoints.holes import HoleReport, holes_from_cloud
@@ -120,6 +123,7 @@ class Trip:
         self.unscanned: tuple = ()
         self.search = Search(self.scanner, self._surroundings(), voxel=self.spacing, stride=options.stride)
         self.twin: Twin | None = None
+        self.helix: dict[str, Any] | None = None
         self.seen = np.zeros(0, bool)
         if options.source == "mesh":
             self.twin = Twin(
@@ -281,7 +285,7 @@ class Trip:
 
     def _reachable(self, X_OS: np.ndarray) -> np.ndarray:
         """What the robot reaches without going far from its way."""
-        stops = [stop.q_in for item in self.rounds[:1] for stop in item.leg.tour.stops]
+        stops = [q for item in self.rounds[:1] for stop in item.leg.tour.stops for q in stop.places]
         return reachable_mask(
             self.cell, X_OS, clearance=self.clearance,
             near_q=np.array([self.cell.home, *stops]), within_s=_SIDE_TRIP_S,
@@ -308,25 +312,33 @@ class Trip:
                 mode=self.options.mode, table=self.options.turntable, worth=worth, rng=rng,
                 progress=self.progress,
             )  # fmt: skip
-        self.take(leg, step, rng)
+        scan = None
+        if self.options.helix and step == "global" and leg.trajectory is not None:
+            with self.watch("helix"):
+                made = joined(self.cell, self.clearance, leg, self._simulated, rng)
+            leg, scan, self.helix = made.leg, made.scan, made.record
+        self.take(leg, step, rng, scan)
         given_up = {v for v, _ in leg.unreachable}
         self.search.tried([v.X_OS for v in views if v.id in given_up or v.kind == "station"])
 
-    def take(self, leg: Leg, step: str, rng: np.random.Generator) -> None:
-        """Appends a leg that begins where the programme stands, and lets the twin scan along it."""
+    def take(self, leg: Leg, step: str, rng: np.random.Generator, scan: Scan | None = None) -> None:
+        """Appends a leg that begins where the programme stands; unless it has, the twin scans along it."""
         if leg.trajectory is not None:
             before = self.trajectory
-            self.trajectory = leg.trajectory if before is None else joined(before, leg.trajectory)
+            self.trajectory = leg.trajectory if before is None else in_a_row(before, leg.trajectory)
             if self.options.source == "mesh":
                 with self.watch("twin"):
-                    self._scan(leg.trajectory, rng)
+                    self._look(self._simulated(leg.trajectory, rng) if scan is None else scan)
         self.rounds.append(Round(step=step, leg=leg, seen=self.seen.copy()))
 
-    def _scan(self, trajectory: Trajectory, rng: np.random.Generator) -> None:
+    def _simulated(self, trajectory: Trajectory, rng: np.random.Generator) -> Scan:
         assert self.twin is not None
-        scan = self.twin.scan(
+        return self.twin.scan(
             trajectory, known=self.seen, rng=rng, progress=lambda f: self.progress("twin", f)
         )  # fmt: skip
+
+    def _look(self, scan: Scan) -> None:
+        """Adds a scan to what is known."""
         if self.mender is not None:
             scan = self.mender.mended(scan, self.cloud, index=len(self.rounds))
         self.scans.append(scan)
@@ -373,5 +385,5 @@ class Trip:
             out_of_reach=out_of_reach,
             dropped=tuple(self.dropped), unscanned=self.unscanned, planning_s=self.watch.seconds(),
             scans=tuple(self.scans) if self.options.keep_scans else (),
-            mending=None if self.mender is None else self.mender.mending,
+            mending=None if self.mender is None else self.mender.mending, helix=self.helix,
         )  # fmt: skip

@@ -135,6 +135,8 @@ def _numbers(summary: dict[str, Any]) -> str:
         ("viewpoints", f"{summary['viewpoints']['global']} global, {summary['viewpoints']['local']} local"),
         ("left out", f"{left_out}"),
     ]
+    if "helix" in summary:
+        rows.append(("turns of the global step", summary["helix"]["note"]))
     if done["final"] is None:
         return table((), rows)
     if reach.get("scanned") is not None:

@@ -100,6 +100,11 @@ class _Budget(_Open):
     advice: list[str] = []
 
 
+class _Helix(_Open):
+    taken: bool
+    note: str
+
+
 class _Summary(_Open):
     viewpoints: _Viewpoints
     completeness: _Completeness
@@ -110,6 +115,7 @@ class _Summary(_Open):
     accuracy: _Accuracy
     time_s: _Time
     budget: _Budget
+    helix: _Helix | None = None
     findings: list[str | dict[str, Any]]
     planning_s: dict[str, Real]
 

@@ -5,8 +5,8 @@ from typing import Literal
 
 import numpy as np
 
-OperationKind = Literal["transit", "revolution", "sweep", "dwell"]
-SCANNING: frozenset[str] = frozenset({"revolution", "sweep", "dwell"})
+OperationKind = Literal["transit", "revolution", "sweep", "dwell", "helix"]
+SCANNING: frozenset[str] = frozenset({"revolution", "sweep", "dwell", "helix"})
 """Kinds of operation during which the scanner captures frames."""
 
 
@@ -16,7 +16,8 @@ class Operation:
 
     transit: arm and table together, scanner off. revolution: the table turns once, the arm still, scanner on.
     sweep: the scanner on a straight line at constant speed relative to the part, table still, scanner on.
-    dwell: everything still, scanner on.
+    dwell: everything still, scanner on. helix: the table turns on in one sense, a whole turn or more for each
+    viewpoint, while the arm goes on straight from one to the next, scanner on.
     """
 
     index: int

@@ -28,7 +28,8 @@ MAY_IMPORT = {
     "tidy": NOUNS | {"viewpoints", "cell", "scan", "motion", "legs"},
     "pipeline": NOUNS
     | {"viewpoints", "cell", "scan", "motion", "planfile", "judge", "legs", "outcome", "search"}
-    | {"options", "tidy", "twin"},
+    | {"options", "tidy", "twin", "joining"},
+    "joining": NOUNS | {"cell", "scan", "legs"},
     "loaded": NOUNS | {"viewpoints", "cell", "planfile", "summaryfile"},
     "replan": NOUNS
     | {"cell", "scan", "motion", "planfile", "legs", "outcome", "pipeline", "loaded"}

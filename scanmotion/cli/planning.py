@@ -52,6 +52,14 @@ def plan(
         str, typer.Option("--mode", help="default, or paper: the published formulas literally.")
     ] = "default",
     seed: Seed = 0,
+    helix: Annotated[
+        bool,
+        typer.Option(
+            "--helix",
+            help="The arm may go on from turn to turn of the global step while the table turns, where the "
+            "twin sees as much and seconds are saved.",
+        ),
+    ] = False,
     keep: Annotated[
         Path | None,
         typer.Option(
@@ -127,7 +135,7 @@ def plan(
     check_out_folder(out)
     only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
     settings = subject = source = None
-    twin = {"calibrate": calibrate, "surface": surface, "keep_scans": save_scans}
+    twin = {"calibrate": calibrate, "surface": surface, "keep_scans": save_scans, "helix": helix}
     if keep is None:
         settings = with_budget(cell_from(robot, cell), budget)
         subject, source = part_and_source(part, box, scan, units=units, up=up, place=place)
@@ -275,6 +283,7 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         *twin_rows(summary),
         ("time", f"{time['total']:.1f} s, {verdict} the budget of {limit:g} s (floor {time['floor']:.1f} s)"),
         ("of which [s]", split),
+        *([("helix", summary["helix"]["note"])] if "helix" in summary else []),
         ("checks", counted(len(summary["findings"]))),
         ("planned in", f"{summary['planning_s']['total']:.1f} s"),
     ]  # fmt: skip

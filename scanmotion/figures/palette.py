@@ -7,7 +7,9 @@ STATUS_NAMES = ("seen in the global step", "seen in a local round", "can be seen
 NOT_YET = "#d9d9d6"
 STATUS_COLOURS = ("#4c8bc4", "#f2a33a", "#c8102e", "#8a8a8a")
 
-OPERATION_COLOURS = {"transit": "#8a8a8a", "revolution": "#4c8bc4", "sweep": "#f2a33a", "dwell": "#2e9e6b"}
+OPERATION_COLOURS = {
+    "transit": "#8a8a8a", "revolution": "#4c8bc4", "sweep": "#f2a33a", "dwell": "#2e9e6b", "helix": "#7b3fa0",
+}  # fmt: skip
 TIME_COLOURS = {"arm": "#8a8a8a", "table": "#4c8bc4", "sweep": "#f2a33a", "dwell": "#2e9e6b"}
 HOLE_COLOURS = {"common": "#c8102e", "interstitial": "#7b3fa0", "edge": "#e07b00", "island": "#00857c"}
 CAUSE_COLOURS = {

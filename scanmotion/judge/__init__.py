@@ -11,6 +11,7 @@ import numpy as np
 
 from scanmotion.judge.contact import check_clearance
 from scanmotion.judge.finding import Finding
+from scanmotion.judge.helix import check_helices
 from scanmotion.judge.limits import check_limits, check_record, check_settings, check_speed
 from scanmotion.judge.motion import motion_from
 from scanmotion.judge.views import check_operations, check_viewpoints
@@ -43,6 +44,7 @@ def verify(folder: str | Path, *, progress: Callable[[float], None] | None = Non
     findings += check_speed(record, trajectory, motion)
     findings += check_operations(record, trajectory)
     findings += check_viewpoints(record, trajectory, motion)
+    findings += check_helices(record, trajectory, motion)
     if (folder / "summary.json").exists():
         findings += _check_summary(read_json(folder, "summary.json"), trajectory.duration)
     if (folder / "trajectory.json").exists():

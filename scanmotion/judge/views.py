@@ -85,12 +85,13 @@ def check_viewpoints(record: PlanRecord, trajectory: Trajectory, motion: Motion)
                 findings.append(Finding(code="viewpoint", message=text, where=name, t=o.t_start))
                 continue
             served.add(name)
-            if views[name].kind == "revolution" and o.kind != "revolution":
-                text = f"{name} asks for a revolution, operation {o.index} is a {o.kind}"
+            turns = views[name].kind == "revolution"
+            if o.kind not in ("revolution", "helix") if turns else o.kind == "helix":
+                text = f"{name} asks for a {views[name].kind}, operation {o.index} is a {o.kind}"
                 findings.append(Finding(code="viewpoint", message=text, where=name, t=o.t_start))
             if len(where) == 0:
                 continue
-            off, angle, k = _nearest(views[name], motion.X_OS[where])
+            off, angle, k = nearest(views[name], motion.X_OS[where])
             if off > 0 or angle > 0:
                 text = (
                     f"{name}: the scanner comes no closer than {(off + _POSITION_M) * 1e3:.1f} mm and "
@@ -99,7 +100,7 @@ def check_viewpoints(record: PlanRecord, trajectory: Trajectory, motion: Motion)
                 findings.append(
                     Finding(code="viewpoint", message=text, where=name, value=off, t=float(o.t_start))
                 )
-            elif o.kind == "sweep" and k < last:
+            elif o.kind in ("sweep", "helix") and k < last:
                 text = f"{name} is passed out of order in operation {o.index}"
                 findings.append(Finding(code="order", message=text, where=name, t=float(o.t_start)))
             last = max(last, k)
@@ -113,7 +114,7 @@ def check_viewpoints(record: PlanRecord, trajectory: Trajectory, motion: Motion)
     return findings
 
 
-def _nearest(view: ViewpointRecord, X_OS: np.ndarray) -> tuple[float, float, int]:
+def nearest(view: ViewpointRecord, X_OS: np.ndarray) -> tuple[float, float, int]:
     """By how much position and angle stay outside what the viewpoint allows, and at which sample least."""
     X = np.array(view.X_OS)
     if view.kind == "revolution":

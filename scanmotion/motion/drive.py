@@ -86,13 +86,17 @@ def floor_along(cell: Cell, q: np.ndarray) -> float:
     return floor_seconds(derivatives_on(cell, transit_spline(cell, q), spacing=3.0), transit_limits(cell))
 
 
-def transit_law(cell: Cell, q: np.ndarray) -> tuple[JointSpline, TimeLaw]:
-    """The curve driven along the polyline `q` (k, 7), and its time law; remembered, for two stages ask."""
+def transit_law(cell: Cell, q: np.ndarray, *, tcp: float | None = None) -> tuple[JointSpline, TimeLaw]:
+    """The curve driven along the polyline `q` (k, 7), and its time law; remembered, for two stages ask.
+
+    `tcp` is the scanner's greatest speed [m/s], the transit speed where it is None.
+    """
     q = np.ascontiguousarray(q, dtype=float)
-    return _transit_law(cell, q.shape[0], q.tobytes())
+    tcp = float(cell.settings.process.transit_speed_m_s) if tcp is None else tcp
+    return _transit_law(cell, q.shape[0], q.tobytes(), tcp)
 
 
 @functools.lru_cache(maxsize=512)
-def _transit_law(cell: Cell, k: int, data: bytes) -> tuple[JointSpline, TimeLaw]:
+def _transit_law(cell: Cell, k: int, data: bytes, tcp: float) -> tuple[JointSpline, TimeLaw]:
     path = transit_spline(cell, np.frombuffer(data).reshape(k, 7))
-    return path, fastest_law(path, derivatives_on(cell, path), transit_limits(cell))
+    return path, fastest_law(path, derivatives_on(cell, path), limits_of(cell, tcp))

@@ -37,7 +37,7 @@ class Ends:
     stage: np.ndarray
     """-1 for the start, 0 for the global and 1 for the local step, shape (n,)."""
     mate: np.ndarray
-    """Index of a sweep's other end, its own elsewhere, shape (n,)."""
+    """Index of the other end of a sweep or helix, its own elsewhere, shape (n,)."""
 
 
 def floor_seconds(
@@ -69,11 +69,11 @@ def floor_seconds(
 def stop_ends(
     X_TO: np.ndarray, start_p_OS: np.ndarray, stops: Sequence[Stop], viewpoints: Mapping[str, Viewpoint]
 ) -> Ends:
-    """The start of the tour, then the ends of each stop in order; a sweep has two, the others one."""
+    """The start of the tour, then the ends of each stop in order: two of a sweep or helix, else one."""
     rows, slack, stage, mate, free = [np.asarray(start_p_OS)], [0.0], [-1], [0], [False]
     for stop in stops:
         served = [viewpoints[stop.viewpoints[0]]]
-        if stop.kind == "sweep":
+        if stop.kind in ("sweep", "helix"):
             served.append(viewpoints[stop.viewpoints[-1]])
         n = len(rows)
         mate += [n + 1, n] if len(served) == 2 else [n]
@@ -81,7 +81,7 @@ def stop_ends(
             rows.append(viewpoint.p_OS)
             slack.append(reach_of_slack(viewpoint))
             stage.append(0 if viewpoint.step == "global" else 1)
-            free.append(stop.kind == "revolution")
+            free.append(stop.kind in ("revolution", "helix"))
     p = np.array(rows) @ X_TO[:3, :3].T + X_TO[:3, 3]
     return Ends(
         radius=np.hypot(p[:, 0], p[:, 1]),
@@ -105,8 +105,9 @@ def least_scanning_seconds(model: MoveModel, stop: Stop, viewpoints: Mapping[str
     """Least time of a stop itself [s]."""
     if stop.kind == "dwell":
         return model.dwell_s
-    if stop.kind == "revolution":
-        return float(jerk_limited_seconds(2 * np.pi, model.v[6], model.a[6], model.j[6]))
+    if stop.kind in ("revolution", "helix"):
+        turns = 2 * np.pi * len(stop.viewpoints)
+        return float(jerk_limited_seconds(turns, model.v[6], model.a[6], model.j[6]))
     a, b = viewpoints[stop.viewpoints[0]], viewpoints[stop.viewpoints[-1]]
     length = float(np.linalg.norm(a.p_OS - b.p_OS)) - reach_of_slack(a) - reach_of_slack(b)
     return float(travel_seconds(model, np.array(max(length, 0.0)), model.scan_speed))

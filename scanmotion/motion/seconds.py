@@ -187,6 +187,9 @@ def stop_seconds(model: MoveModel, stop: Stop) -> float:
     """Time that a stop takes by itself [s]."""
     if stop.kind == "revolution":
         return revolution_seconds(model)
+    if stop.kind == "helix":
+        turn = abs(float(stop.q_out[6] - stop.q_in[6]))
+        return float(jerk_limited_seconds(turn, model.v[6], model.a[6], model.j[6]))
     return model.dwell_s if stop.path is None else path_seconds(model, stop.path)
 
 

@@ -14,6 +14,7 @@ from scanmotion.cell.kinematics import scanner_in_object
 from scanmotion.cell.plant import Cell
 from scanmotion.errors import TimingError
 from scanmotion.motion.drive import limits_of, transit_law
+from scanmotion.motion.helix import HelixMotion, helix_motion
 from scanmotion.motion.profile import MARGIN, parameter_grid
 from scanmotion.motion.scale import ruckig_law
 from scanmotion.motion.spline import JointSpline, spline_beside, spline_through
@@ -48,6 +49,12 @@ class Motion:
         q1 = self.path(s[:, 0], 1)
         return self.path(s[:, 0]), q1 * s1, self.path(s[:, 0], 2) * s1**2 + q1 * s2
 
+    @property
+    def ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """First and last configuration, shape (7,) each [rad]."""
+        first, last = (self.path(np.array([s]))[0] for s in (0.0, self.path.end))
+        return first, last
+
 
 def time_plan(
     cell: Cell,
@@ -80,7 +87,7 @@ def time_plan(
     return trajectory
 
 
-def motions(cell: Cell, tour: Tour, paths: Sequence[Path]) -> Iterable[Motion]:
+def motions(cell: Cell, tour: Tour, paths: Sequence[Path]) -> Iterable[Motion | HelixMotion]:
     """The operations of a tour in order, each with path and law; transits that do not move are left out."""
     if len(paths) != len(tour.stops):
         raise TimingError(f"{len(tour.stops)} stops need as many paths, not {len(paths)}")
@@ -104,7 +111,9 @@ def transit_motion(cell: Cell, q: np.ndarray, viewpoints: tuple[str, ...] = ()) 
     )
 
 
-def _stop_motion(cell: Cell, stop: Stop) -> Motion:
+def _stop_motion(cell: Cell, stop: Stop) -> Motion | HelixMotion:
+    if stop.kind == "helix":
+        return helix_motion(cell, stop)
     if stop.kind == "dwell":
         dwell_s = float(cell.settings.process.dwell_s)
         return Motion(
@@ -208,7 +217,7 @@ def _check_range(cell: Cell, path: JointSpline, viewpoints: tuple[str, ...]) -> 
         )
 
 
-def _sampled(placed: Sequence[Motion], start_q: np.ndarray, sample_s: float) -> Trajectory:
+def _sampled(placed: Sequence[Motion | HelixMotion], start_q: np.ndarray, sample_s: float) -> Trajectory:
     """The operations one after another, each ending on a whole 10 ms, sampled evenly."""
     if not placed:
         still = np.zeros((1, 7))
@@ -234,8 +243,8 @@ def _sampled(placed: Sequence[Motion], start_q: np.ndarray, sample_s: float) -> 
                 viewpoints=motion.viewpoints,
                 t_start=starts[n] / per * SAMPLE_S,
                 t_end=starts[n + 1] / per * SAMPLE_S,
-                q_start=motion.path(np.zeros(1))[0],
-                q_end=motion.path(np.array([motion.path.end]))[0],
+                q_start=motion.ends[0],
+                q_end=motion.ends[1],
             )
         )
     q, qd, qdd = (np.vstack([r[k] for r in rows]) for k in range(3))

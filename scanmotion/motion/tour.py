@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-StopKind = Literal["revolution", "sweep", "dwell"]
+StopKind = Literal["revolution", "sweep", "dwell", "helix"]
 PathMethod = Literal["line", "joint", "planned"]
 
 
@@ -14,7 +14,8 @@ class Stop:
     """One thing that the scanner does with the power on, between two transits.
 
     A revolution turns the table once (q_out is q_in with E1 +-2 pi), a sweep follows `path` with the table
-    still, a dwell stays at q_in.
+    still, a dwell stays at q_in. A helix is several revolutions in one: the table turns on while the arm goes
+    from place to place along `ways`.
     """
 
     viewpoints: tuple[str, ...]
@@ -26,6 +27,15 @@ class Stop:
     """Joint positions on leaving, shape (7,) [rad]."""
     path: np.ndarray | None = None
     """A sweep's dense joint path from q_in to q_out, shape (k, 7) [rad]; None otherwise."""
+    ways: tuple[np.ndarray, ...] = ()
+    """A helix's arm from each place to the next, polylines (k, 7) with the table's column constant [rad]."""
+    turns: tuple[float, ...] = ()
+    """By how much a helix's table turns while the arm stands at each of its places [rad]."""
+
+    @property
+    def places(self) -> tuple[np.ndarray, ...]:
+        """Where the arm stands, shape (7,) each: on arrival and, in a helix, after each way."""
+        return (self.q_in, *(way[-1] for way in self.ways))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -115,12 +115,18 @@ def _fastest_free(
 
 
 def driven_free(cell: Cell, clearance: Clearance, q: np.ndarray) -> tuple[bool, int, tuple[str, str]]:
-    """Whether the curve along the polyline `q` (k, 7) is free; else at which sample, which bodies.
+    """Whether the curve along the polyline `q` (k, 7) is free; else at which sample, which bodies."""
+    path = transit_spline(cell, q)
+    return samples_free(
+        cell, clearance, path(np.linspace(0.0, path.end, SAMPLES_PER_SPAN * round(path.end) + 1))
+    )
+
+
+def samples_free(cell: Cell, clearance: Clearance, samples: np.ndarray) -> tuple[bool, int, tuple[str, str]]:
+    """Whether a densely sampled motion, shape (n, 7), is free; else at which sample, which bodies.
 
     Edges between samples that the fast tier refuses are judged by the exact one, in small steps.
     """
-    path = transit_spline(cell, q)
-    samples = path(np.linspace(0.0, path.end, SAMPLES_PER_SPAN * round(path.end) + 1))
     if (samples < cell.q_min).any() or (samples > cell.q_max).any():
         return False, 0, ("arm", "its range")
     free, k, pair = clearance.path_free(samples)
