@@ -39,10 +39,10 @@ CORE = 20.0
 """Samples missing at the wide discs of a hole that is worth a viewpoint; more where sampling is random."""
 THIN, SURE = 1.06, 1.09
 """Pitch at a rim against that around it from which the patch may be, and surely is, thinner."""
-NARROW, BROAD = 0.4, 2.7
+NARROW, BROAD, BROAD_AT = 0.4, 2.9, 5
 """Share of wide discs under which the patch at a surely thinner rim is only thinner, however large: the wide
-gaps that chance leaves in it grow in number with its area, not in share. But a disc of 2.7 pitches is no
-chance: where a scan thins out towards a shadow, the shadow is a hole."""
+gaps that chance leaves in it grow in number with its area, not in share. But five points at discs of 2.9
+pitches, no fold near, are no chance: where a scan thins out towards a shadow, the shadow is a hole."""
 DOUBT = 25.0
 """Further samples that must be missing in a thin patch: a third if most discs are wide, twice if folded."""
 AROUND = 20.0
@@ -153,7 +153,8 @@ def _open_rim(sampling: Sampling, found: RimSet, group: np.ndarray, usual: float
         return None
     frayed = wide.mean() < 0.5
     thin = (sparse - 0.4 * max(usual - EVEN, 0.0) - THIN) / (SURE - THIN)
-    if thin >= 1.0 and wide.mean() < NARROW and found.reach[group].max() < BROAD:
+    broad = folded <= CREASED and int((found.reach[group] > BROAD).sum()) >= BROAD_AT
+    if thin >= 1.0 and wide.mean() < NARROW and not broad:
         return None
     doubt = DOUBT * (1.0 if frayed else 1.0 / 3.0) * (2.0 if folded > CREASED else 1.0)
     core = float(found.excess[group][wide].sum())
