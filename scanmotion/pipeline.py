@@ -40,6 +40,8 @@ __all__ = ["PlanOptions", "plan"]
 
 _SOUGHT = 0.5
 """Share of what a viewpoint must be worth for which it is sought, where the twin has the last word."""
+_TRIES = 6
+"""So often viewpoints are taken out until a programme is inside its budget."""
 _SIDE_TRIP_S = 10.0
 """A local viewpoint is taken only within this time of home or a viewpoint of the first leg [s]."""
 
@@ -208,31 +210,40 @@ class Trip:
                 return
 
     def tidy(self) -> None:
-        """Takes out the local viewpoints that the twin shows to be worth less than their seconds, and makes
-        one leg of the rest, where that is the better programme.
+        """Takes out the local viewpoints that the twin shows to be worth less than their seconds, or that the
+        budget has no seconds for, and makes one leg of the rest, where that is the better programme.
         """
         local = [item.leg for item in self.rounds if item.step == "local"]
         if not self._tidies or self.after_global is None or not any(leg.trajectory for leg in local):
             return
         assert self.twin is not None
         old, open_ = self._state(), np.flatnonzero(self.seen & ~self.after_global.seen)
-        with self.watch("tidy"):
-            self.progress("tidy", 0.0)
-            out = not_worth(
-                self.cell, local, self.twin.scene, self.twin.samples, open_, rate=self._rate
-            )  # fmt: skip
-        if not out and sum(leg.trajectory is not None for leg in local) == 1:
-            return
         self.twin.visible(self.seen)
-        self._back_to(self.after_global)
-        kept = [v for leg in local for v in leg.served if v.id not in out]
-        self.run(tuple(kept), "local", self._rng(30))
-        if self._state().value(self._rate) <= old.value(self._rate):
+        save, late = 0.0, self._over() > 0
+        for _ in range(_TRIES):
+            with self.watch("tidy"):
+                self.progress("tidy", 0.0)
+                out = not_worth(
+                    self.cell, local, self.twin.scene, self.twin.samples, open_, rate=self._rate, save=save
+                )  # fmt: skip
+            if not out and sum(leg.trajectory is not None for leg in local) == 1 and self._over() <= 0:
+                return
+            self._back_to(self.after_global)
+            kept = [v for leg in local for v in leg.served if v.id not in out]
+            self.run(tuple(kept), "local", self._rng(30))
+            if self._over() <= 0 or not kept:
+                break
+            save += self._over() + 0.5
+        if not late and self._state().value(self._rate) <= old.value(self._rate):
             self._back_to(old)
             return
         self.searched = old.rounds
         last = self.rounds.pop()
         self.rounds.append(replace(last, leg=with_left_out(last.leg, local, out)))
+
+    def _over(self) -> float:
+        """By how much the programme is longer than its budget [s]; negative where it is shorter."""
+        return (self.trajectory.duration if self.trajectory else 0.0) - self.settings.process.budget_s
 
     def _state(self) -> _State:
         return _State(
@@ -279,9 +290,8 @@ class Trip:
         return self.options.tidy and self.options.source == "mesh" and not literal
 
     def _seconds_left(self) -> float:
-        """Of the budget, for the next round, with some in hand because its order is not known yet [s]."""
-        spent = 0.0 if self.trajectory is None else float(self.trajectory.t[-1])
-        return 0.9 * max(self.settings.process.budget_s - spent, 0.0)
+        """Of the budget, for the next round [s]: its order is not known yet, and the twin may take some out."""
+        return (1.5 if self._tidies else 0.9) * max(-self._over(), 0.0)
 
     def _reachable(self, X_OS: np.ndarray) -> np.ndarray:
         """What the robot reaches without going far from its way."""

@@ -48,9 +48,17 @@ def stop_masks(
 
 
 def not_worth(
-    cell: Cell, legs: Sequence[Leg], scene: Scene, samples: SurfaceSamples, open_: np.ndarray, *, rate: float
+    cell: Cell,
+    legs: Sequence[Leg],
+    scene: Scene,
+    samples: SurfaceSamples,
+    open_: np.ndarray,
+    *,
+    rate: float,
+    save: float = 0.0,
 ) -> dict[str, str]:
-    """Local viewpoints that add less than they are worth, by id, with the reason.
+    """Local viewpoints that add less than they are worth, or that the budget has no seconds for, by id, with
+    the reason.
 
     The least worthy goes first; what it alone saw of what another one saw too then counts for that one.
 
@@ -61,6 +69,7 @@ def not_worth(
         samples: of the surface.
         open_: indices of the samples that the global step has not seen, shape (m,).
         rate: least share of the surface that a second adds [1/s].
+        save: what must be saved beyond that [s].
     """
     names: list[tuple[str, ...]] = []
     seconds: list[float] = []
@@ -77,9 +86,14 @@ def not_worth(
         adds = np.array([(masks[k] & (count == 1)).sum() for k in kept]) / len(samples.points)
         worth = adds / np.maximum([seconds[k] for k in kept], 1e-3)
         least = int(np.argmin(worth))
-        if worth[least] >= rate:
+        adding = f"it adds {adds[least]:.3%} in {seconds[kept[least]]:.1f} s"
+        if worth[least] < rate:
+            reason = f"not worth its seconds: {adding}"
+        elif save > 0.0:
+            reason = f"no seconds are left for it in the budget: {adding}"
+            save -= seconds[kept[least]]
+        else:
             break
-        reason = f"not worth its seconds: it adds {adds[least]:.3%} in {seconds[kept[least]]:.1f} s"
         out.update(dict.fromkeys(names[kept[least]], reason))
         del kept[least]
     return out

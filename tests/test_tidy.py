@@ -129,6 +129,30 @@ def test_useless_viewpoints_go_and_what_is_seen_stays(trip):
     assert trip.trajectory is tidy.trajectory
 
 
+@pytest.fixture(scope="module")
+def found():
+    """Both steps on the pitted block, as they were found, with all the time of the world."""
+    made = Trip(pitted(), load_cell("kr240"), PlanOptions(seed=1, **TINY), silent)
+    made.global_step()
+    made.local_rounds()
+    return made, made._state()
+
+
+@pytest.mark.parametrize("share", [0.9, 0.5, 0.1])
+def test_a_programme_is_brought_inside_its_budget(found, share):
+    trip, state = found
+    trip._back_to(state)
+    first, whole = trip.after_global.trajectory.duration, trip.trajectory.duration
+    assert whole > first + 1.0
+    process = trip.settings.process.model_copy(update={"budget_s": first + share * (whole - first)})
+    trip.settings = trip.settings.model_copy(update={"process": process})
+    trip.tidy()
+    assert trip.trajectory.duration <= process.budget_s
+    reasons = [r for _, r in trip.rounds[-1].leg.unreachable]
+    assert any(r.startswith(("no seconds are left for it in the budget: it adds", REASON)) for r in reasons)
+    assert trip.seen.sum() >= trip.after_global.seen.sum()
+
+
 def test_without_tidying_the_rounds_stay_as_they_were_found():
     found = Trip(pitted(), load_cell("kr240"), PlanOptions(seed=1, tidy=False, **TINY), silent)
     found.global_step()
