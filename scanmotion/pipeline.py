@@ -290,7 +290,7 @@ class Trip:
         return self.options.tidy and self.options.source == "mesh" and not literal
 
     def _seconds_left(self) -> float:
-        """Of the budget, for the next round [s]: its order is not known yet, and the twin may take some out."""
+        """Of the budget, for the next round [s]; its order is not known, and the twin may take some out."""
         return (1.5 if self._tidies else 0.9) * max(-self._over(), 0.0)
 
     def _reachable(self, X_OS: np.ndarray) -> np.ndarray:
