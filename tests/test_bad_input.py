@@ -327,6 +327,7 @@ CASES = {
     "keep nothing": "plan --keep nowhere",
     "keep no plan": "plan --keep .",
     "keep and part": "plan --keep nowhere --part good.ply",
+    "helix without a twin": "plan --box 100 100 100 --helix",
     "tiny box": "plan --box 1e-9 1 1",
     "box beyond numbers": "plan --box 1e308 1e308 1e308",
     "out is a device": "plan --out /dev/null",

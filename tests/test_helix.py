@@ -200,6 +200,18 @@ def test_a_way_that_is_blocked_is_not_joined(cell):
     assert [s.kind for s in made] == ["helix", "revolution"]
 
 
+def test_places_between_which_the_wrist_changes_over_are_not_joined(cell):
+    free: Any = SimpleNamespace(path_free=lambda q: (True, -1, ("", "")))
+    first, second, third = turns(cell)
+    flip = np.array([0, 0, 0, np.pi, 0, -np.pi, 0])
+    over = [q * [1, 1, 1, 1, -1, 1, 1] + flip for q in (second.q_in, second.q_out)]
+    same, other = scanner_poses(cell, np.array([second.q_in, over[0]]))
+    np.testing.assert_allclose(same, other, atol=1e-9)
+    stops = [first, replace(second, q_in=over[0], q_out=over[1]), third]
+    made = joined_stops(cell, free, np.asarray(cell.home), stops, [6.0, 2.0, 2.0], 1.0)
+    assert [s.kind for s in made] == ["revolution"] * 3
+
+
 def test_the_floor_of_a_helix_is_below_it(cell):
     stop = helix_of(cell, 1.0)
     floor = least_scanning_seconds(move_model(cell), stop, {})

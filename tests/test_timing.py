@@ -189,6 +189,37 @@ def test_one_metre_at_a_tenth_of_a_metre_per_second():
     assert rows[-1] == pytest.approx([1.0, 0.0, 0.0, rows[-1, 3]], abs=1e-9)
 
 
+@pytest.mark.parametrize("through", [False, True])
+def test_what_a_law_is_checked_by_is_the_same_as_by_scipy(through):
+    from scanmotion.motion import scale
+
+    rng = np.random.default_rng(3)
+    path, d = joint_path(rng, 5)
+    law = fastest_law(path, d, LIMITS)
+    if through:
+        # A quintic, passed over the same parameters.
+        path = spline_through(rng.normal(size=(12, 7)), np.linspace(0, path.end, 12))
+    over = scale._excess(path, lambda s: 0.0 * s, law, LIMITS, 0.002)
+    s, s1, s2, s3 = law(over.t).T[:, :, None]
+    q1, q2, q3 = (path(s[:, 0], k) for k in (1, 2, 3))
+    shares = np.stack(
+        [
+            np.abs(q1 * s1) / LIMITS.v,
+            np.sqrt(np.abs(q2 * s1**2 + q1 * s2) / LIMITS.a),
+            np.cbrt(np.abs(q3 * s1**3 + 3 * q2 * s1 * s2 + q1 * s3) / (0.997 * LIMITS.j)),
+        ]
+    )
+    np.testing.assert_allclose(over.factor, shares.max(axis=(0, 2)), rtol=1e-12)
+
+
+def test_a_running_maximum_is_that_of_every_window(rng):
+    from scanmotion.motion.scale import _running_max
+
+    x = rng.normal(size=200)
+    brute = [x[max(n - 7, 0) : n + 8].max() for n in range(200)]
+    assert np.array_equal(_running_max(x, 7), brute)
+
+
 def test_impossible_law_is_refused():
     with pytest.raises(TimingError):
         ruckig_law(1.0, -0.1, 0.5, 5.0)

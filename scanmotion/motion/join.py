@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from scanmotion.cell.clearance import Clearance
+from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.plant import Cell
 from scanmotion.motion.drive import positions
 from scanmotion.motion.helix import (
@@ -31,6 +32,9 @@ _SAMPLE_S = 0.01
 _IDLE_S_PER_RAD = 1e-4
 """Charged for turns of the table that cost nothing: of two equal ways the quieter is taken [s/rad]."""
 _STRAIGHT_M = 1e-3
+"""How far the scanner may pass beside the straight line on a way [m]."""
+_ASIDE_RAD = np.deg2rad(4.0)
+"""By how much its direction may be farther from those at both ends than these are from each other [rad]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,10 +87,13 @@ def _way(cell: Cell, a: Stop, b: Stop) -> np.ndarray | None:
     if way is None or np.linalg.norm(p[1] - p[0]) < NEAREST_M:
         return None
     path, law = way_law(cell, way)
-    p = positions(cell, path(law(np.linspace(0.0, law.duration, 400))[:, 0]))
+    X_WS = scanner_poses(cell, path(law(np.linspace(0.0, law.duration, 400))[:, 0]))
+    p, z = X_WS[:, :3, 3], X_WS[:, :3, 2]
     along = (p[-1] - p[0]) / np.linalg.norm(p[-1] - p[0])
-    beside = (p - p[0]) - ((p - p[0]) @ along)[:, None] * along
-    return way if np.linalg.norm(beside, axis=1).max() < _STRAIGHT_M else None
+    beside = np.linalg.norm((p - p[0]) - ((p - p[0]) @ along)[:, None] * along, axis=1).max()
+    first, last = (np.arccos(np.clip(z @ end, -1.0, 1.0)) for end in (z[0], z[-1]))
+    # A wrist that changes over on the way would swing the scanner away from the part.
+    return way if beside < _STRAIGHT_M and (first + last).max() - first[-1] < _ASIDE_RAD else None
 
 
 def _fastest(

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 from ruckig import InputParameter, Result, Ruckig, Trajectory
+from scipy.ndimage import maximum_filter1d
 
 from scanmotion.errors import TimingError
 from scanmotion.motion.profile import (
@@ -214,21 +215,88 @@ def _excess(
 ) -> _Excess:
     """Compares the motion under `law` with the limits every `step` seconds; `rate(s)` is |dp/ds|."""
     t = np.linspace(0.0, law.duration, max(int(law.duration / step), 40) + 1)
-    s, s1, s2, s3 = law(t).T[:, :, None]
-    q1, q2, q3 = (path(s[:, 0], k) for k in (1, 2, 3))
-    tcp = rate(s[:, 0]) * s1[:, 0]
-    v = np.maximum((np.abs(q1 * s1) / limits.v).max(axis=1), tcp / limits.tcp)
-    a = (np.abs(q2 * s1**2 + q1 * s2) / limits.a).max(axis=1)
-    jerk = np.abs(q3 * s1**3 + 3 * q2 * s1 * s2 + q1 * s3) / (_JERK_SHARE * limits.j)
-    worst = jerk.argmax(axis=1)[:, None]
-    j, even = (np.take_along_axis(k, worst, axis=1)[:, 0] for k in (jerk, np.abs(q3 * s1**3) / limits.j))
+    rows = law(t)
+    s, s1 = rows[:, 0].copy(), rows[:, 1]
+    rates = np.column_stack([rows[:, 1:], s1**2, s1**3])
+    bounds = np.array([limits.v, limits.a, _JERK_SHARE * limits.j, limits.j])
+    curve = path.curve
+    v, a, j, even = _worst(curve.t, curve.c, curve.k, np.clip(s, 0.0, path.end), rates, bounds)
+    v = np.maximum(v, rate(s) * s1 / limits.tcp)
     factor = np.maximum(np.maximum(v, np.sqrt(a)), np.cbrt(j))
-    return _Excess(t=t, s=s[:, 0], factor=factor, bend=np.clip(even / np.maximum(j, 1e-9), 0.0, 1.0))
+    return _Excess(t=t, s=s, factor=factor, bend=np.clip(even / np.maximum(j, 1e-9), 0.0, 1.0))
+
+
+@njit(cache=True, error_model="numpy")
+def _worst(
+    knots: np.ndarray, c: np.ndarray, k: int, at: np.ndarray, rates: np.ndarray, bounds: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The greatest shares of the axes' velocities, accelerations and jerks at each instant, shape (n,) each.
+
+    The last is the share of the jerk's limit that the axis of the greatest jerk has at even speed.
+
+    Args:
+        knots: of the spline.
+        c: its coefficients, shape (m, 7).
+        k: its degree.
+        at: the parameter s at each instant, shape (n,).
+        rates: three time derivatives of s, then the square and the cube of the first, shape (n, 5).
+        bounds: of velocities, accelerations, jerks with a margin, and jerks, shape (4, 7).
+    """
+    n, axes = len(at), c.shape[1]
+    v, a, j, even = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    basis, work, q = np.zeros((3, k + 1)), np.zeros(k + 1), np.zeros((3, axes))
+    span = k
+    for i in range(n):
+        x = at[i]
+        while span > k and x < knots[span]:
+            span -= 1
+        while span < len(c) - 1 and x >= knots[span + 1]:
+            span += 1
+        q[:] = 0.0
+        for order in range(3):
+            _basis(knots, x, k, span, order + 1, basis[order], work)
+            for b in range(k + 1):
+                weight = basis[order, b]
+                for m in range(axes):
+                    q[order, m] += c[span - k + b, m] * weight
+        s1, s2, s3, square, cube = rates[i, 0], rates[i, 1], rates[i, 2], rates[i, 3], rates[i, 4]
+        worst = -1.0
+        for m in range(axes):
+            v[i] = max(v[i], abs(q[0, m] * s1) / bounds[0, m])
+            a[i] = max(a[i], abs(q[1, m] * square + q[0, m] * s2) / bounds[1, m])
+            jerk = abs(q[2, m] * cube + 3.0 * q[1, m] * s1 * s2 + q[0, m] * s3) / bounds[2, m]
+            if jerk > worst:
+                worst = jerk
+                j[i], even[i] = jerk, abs(q[2, m] * cube) / bounds[3, m]
+    return v, a, j, even
+
+
+@njit(cache=True, error_model="numpy")
+def _basis(
+    knots: np.ndarray, x: float, k: int, span: int, order: int, out: np.ndarray, work: np.ndarray
+) -> None:
+    """Derivatives of the k + 1 B-splines that do not vanish in a span, as scipy computes them (de Boor)."""
+    out[0] = 1.0
+    for j in range(1, k + 1):
+        for n in range(j):
+            work[n] = out[n]
+        out[0] = 0.0
+        for n in range(1, j + 1):
+            high, low = knots[span + n], knots[span + n - j]
+            if high == low:
+                out[n] = 0.0
+            elif j <= k - order:
+                w = work[n - 1] / (high - low)
+                out[n - 1] += w * (high - x)
+                out[n] = w * (x - low)
+            else:
+                w = j * work[n - 1] / (high - low)
+                out[n - 1] -= w
+                out[n] = w
 
 
 def _running_max(x: np.ndarray, half: int) -> np.ndarray:
-    padded = np.pad(x, half, mode="edge")
-    return np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1).max(axis=1)
+    return maximum_filter1d(x, 2 * half + 1, mode="nearest")
 
 
 def _law(s: np.ndarray, x: np.ndarray, windows: tuple[float, float], floor: float) -> TimeLaw:
