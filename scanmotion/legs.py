@@ -194,7 +194,7 @@ def costs(cell: Cell, tour: Tour, trajectory: Trajectory) -> list[float]:
         if n + 1 < len(tour.stops):
             way = move_matrix(model, np.array([before]), np.array([tour.stops[n + 1].q_in]))[0, 0]
             cost = after[n + 1].t_start - start - float(way)
-        found.append(cost)
+        found.append(max(cost, 0.0))
     return found
 
 

@@ -31,6 +31,7 @@ from scanmotion.errors import InputError
 
 AGAIN = "Planning again"
 TWIN = "The scan twin"
+FEW = 3
 STRATEGIES = ("two-step", "cad-slicing", "surface-partitioning")
 
 
@@ -238,8 +239,7 @@ def print_summary(summary: dict[str, Any], folder: Path, *, html: bool = True) -
     print_table("The plan", (), summary_rows(summary))
     unreachable = summary["viewpoints"]["unreachable"]
     if unreachable:
-        rows = [(u["id"], u["reason"]) for u in unreachable]
-        print_table("Viewpoints left out", ("viewpoint", "reason"), rows)
+        print_table("Viewpoints left out", ("viewpoint", "reason"), left_out_rows(unreachable))
     if summary["budget"].get("advice"):
         print_table("Over the budget", ("what would help",), [(a,) for a in summary["budget"]["advice"]])
     if summary["findings"]:
@@ -248,6 +248,15 @@ def print_summary(summary: dict[str, Any], folder: Path, *, html: bool = True) -
     names = ["trajectory.csv", "summary.json"] + (["scene.html", "report.html"] if html else [])
     names += [name for name in ("cloud.ply", "deviation.ply") if (folder / name).is_file()]
     print_table("Files", (), [(name.split(".")[0], str(folder / name)) for name in names])
+
+
+def left_out_rows(unreachable: Sequence[dict[str, str]]) -> list[tuple[str, str]]:
+    """Viewpoints and reasons; many that are only not worth their seconds share a line."""
+    dear = [u for u in unreachable if u["reason"].startswith("not worth its seconds")]
+    if len(dear) <= FEW:
+        return [(u["id"], u["reason"]) for u in unreachable]
+    rows = [(u["id"], u["reason"]) for u in unreachable if u not in dear]
+    return [*rows, (f"{len(dear)} others", "not worth their seconds; summary.json lists them")]
 
 
 def finding_line(finding: Any) -> str:
