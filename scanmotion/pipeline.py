@@ -23,7 +23,7 @@ from scanmotion.scan.merge import merged
 from scanmotion.scan.simulate import Scan, ScanErrors
 from scanmotion.scanner import Scanner
 from scanmotion.search import THOROUGH_RATE, Search, Surroundings
-from scanmotion.tidy import not_worth
+from scanmotion.tidy import not_worth, stops_seen
 from scanmotion.trajectory import Trajectory
 from scanmotion.trajectory import joined as in_a_row
 from scanmotion.twin import Twin
@@ -205,8 +205,7 @@ class Trip:
             prefix = f"R{number}" if number > 1 else ""
             worth = {prefix + name: seconds for name, seconds in worth.items()}
             self.run(renamed(views, prefix), "local", self._rng(10 + number), worth)
-            literal = self.options.mode == "paper" or not self.options.occlusion_aware
-            if literal or self.options.source == "scan" or self._complete():
+            if self._literal or self.options.source == "scan" or self._complete():
                 return
 
     def tidy(self) -> None:
@@ -219,13 +218,12 @@ class Trip:
         assert self.twin is not None
         old, open_ = self._state(), np.flatnonzero(self.seen & ~self.after_global.seen)
         self.twin.visible(self.seen)
+        with self.watch("tidy"):
+            self.progress("tidy", 0.0)
+            stops = stops_seen(self.cell, local, self.twin.scene, self.twin.samples, open_)
         save, late = 0.0, self._over() > 0
         for _ in range(_TRIES):
-            with self.watch("tidy"):
-                self.progress("tidy", 0.0)
-                out = not_worth(
-                    self.cell, local, self.twin.scene, self.twin.samples, open_, rate=self._rate, save=save
-                )  # fmt: skip
+            out = not_worth(stops, len(self.seen), rate=self._rate, save=save)
             if not out and sum(leg.trajectory is not None for leg in local) == 1 and self._over() <= 0:
                 return
             self._back_to(self.after_global)
@@ -238,8 +236,7 @@ class Trip:
             self._back_to(old)
             return
         self.searched = old.rounds
-        last = self.rounds.pop()
-        self.rounds.append(replace(last, leg=with_left_out(last.leg, local, out)))
+        self.rounds[-1] = replace(self.rounds[-1], leg=with_left_out(self.rounds[-1].leg, local, out))
 
     def _over(self) -> float:
         """By how much the programme is longer than its budget [s]; negative where it is shorter."""
@@ -260,7 +257,7 @@ class Trip:
     def _local_views(self, holes: HoleReport, number: int) -> tuple[tuple[Viewpoint, ...], dict[str, float]]:
         """Viewpoints of a local round, and what each may cost [s]."""
         standoff = self.settings.process.standoff_m
-        if self.options.mode == "paper" or not self.options.occlusion_aware:
+        if self._literal:
             views = local_viewpoints(
                 holes.holes, self.scanner, standoff=standoff, mode=self.options.mode, table_z=self.table_z
             )
@@ -285,9 +282,13 @@ class Trip:
         return THOROUGH_RATE if self.options.thorough else SelectOptions().least_rate
 
     @property
+    def _literal(self) -> bool:
+        """Whether local viewpoints come from the holes alone, without a model of what hides them."""
+        return self.options.mode == "paper" or not self.options.occlusion_aware
+
+    @property
     def _tidies(self) -> bool:
-        literal = self.options.mode == "paper" or not self.options.occlusion_aware
-        return self.options.tidy and self.options.source == "mesh" and not literal
+        return self.options.tidy and self.options.source == "mesh" and not self._literal
 
     def _seconds_left(self) -> float:
         """Of the budget, for the next round [s]; its order is not known, and the twin may take some out."""

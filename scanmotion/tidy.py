@@ -1,6 +1,7 @@
 """What the twin shows to be worth less than its seconds, once all rounds are done."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -47,20 +48,20 @@ def stop_masks(
     return masks
 
 
-def not_worth(
-    cell: Cell,
-    legs: Sequence[Leg],
-    scene: Scene,
-    samples: SurfaceSamples,
-    open_: np.ndarray,
-    *,
-    rate: float,
-    save: float = 0.0,
-) -> dict[str, str]:
-    """Local viewpoints that add less than they are worth, or that the budget has no seconds for, by id, with
-    the reason.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StopSeen:
+    """A stop of a local round: what it costs, and what it sees."""
 
-    The least worthy goes first; what it alone saw of what another one saw too then counts for that one.
+    viewpoints: tuple[str, ...]
+    seconds: float
+    mask: np.ndarray
+    """Which of the samples asked about it sees, shape (m,)."""
+
+
+def stops_seen(
+    cell: Cell, legs: Sequence[Leg], scene: Scene, samples: SurfaceSamples, open_: np.ndarray
+) -> list[StopSeen]:
+    """What each stop of the legs costs and sees.
 
     Args:
         cell: the cell.
@@ -68,32 +69,47 @@ def not_worth(
         scene: what blocks sight.
         samples: of the surface.
         open_: indices of the samples that the global step has not seen, shape (m,).
+    """
+    found = []
+    for leg in legs:
+        if leg.trajectory is not None:
+            seconds = costs(cell, leg.tour, leg.trajectory)
+            masks = stop_masks(cell, leg.trajectory, scene, samples, open_)
+            found += [
+                StopSeen(viewpoints=stop.viewpoints, seconds=s, mask=m)
+                for stop, s, m in zip(leg.tour.stops, seconds, masks, strict=True)
+            ]
+    return found
+
+
+def not_worth(stops: Sequence[StopSeen], samples: int, *, rate: float, save: float = 0.0) -> dict[str, str]:
+    """Local viewpoints that add less than they are worth, or that the budget has no seconds for, by id, with
+    the reason.
+
+    The least worthy goes first; what it alone saw of what another one saw too then counts for that one.
+
+    Args:
+        stops: of the local rounds.
+        samples: how many the whole surface has.
         rate: least share of the surface that a second adds [1/s].
         save: what must be saved beyond that [s].
     """
-    names: list[tuple[str, ...]] = []
-    seconds: list[float] = []
-    masks: list[np.ndarray] = []
-    for leg in legs:
-        if leg.trajectory is not None:
-            names += [stop.viewpoints for stop in leg.tour.stops]
-            seconds += costs(cell, leg.tour, leg.trajectory)
-            masks += stop_masks(cell, leg.trajectory, scene, samples, open_)
     out: dict[str, str] = {}
-    kept = list(range(len(names)))
+    kept = list(stops)
     while kept:
-        count = np.sum([masks[k] for k in kept], axis=0)
-        adds = np.array([(masks[k] & (count == 1)).sum() for k in kept]) / len(samples.points)
-        worth = adds / np.maximum([seconds[k] for k in kept], 1e-3)
+        count = np.sum([stop.mask for stop in kept], axis=0)
+        adds = np.array([(stop.mask & (count == 1)).sum() for stop in kept]) / samples
+        worth = adds / np.maximum([stop.seconds for stop in kept], 1e-3)
         least = int(np.argmin(worth))
-        adding = f"it adds {adds[least]:.3%} in {seconds[kept[least]]:.1f} s"
+        stop = kept[least]
+        adding = f"it adds {adds[least]:.3%} in {stop.seconds:.1f} s"
         if worth[least] < rate:
             reason = f"not worth its seconds: {adding}"
         elif save > 0.0:
             reason = f"no seconds are left for it in the budget: {adding}"
-            save -= seconds[kept[least]]
+            save -= stop.seconds
         else:
             break
-        out.update(dict.fromkeys(names[kept[least]], reason))
+        out.update(dict.fromkeys(stop.viewpoints, reason))
         del kept[least]
     return out

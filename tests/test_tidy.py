@@ -13,7 +13,7 @@ from scanmotion.cell.plant import build_cell
 from scanmotion.legs import costs, leg_from, silent, with_left_out
 from scanmotion.part import box_part, surface_samples
 from scanmotion.pipeline import PlanOptions, Trip
-from scanmotion.tidy import not_worth, stop_masks
+from scanmotion.tidy import not_worth, stop_masks, stops_seen
 from scanmotion.viewpoints.coverage import revolution_poses, scene_from, seen_by_any
 from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
 
@@ -57,7 +57,7 @@ def test_masks_are_what_the_poses_asked_for_see(box, leg):
 def test_what_stays_is_worth_its_seconds_and_what_goes_is_not(box, leg, rate):
     cell, scene, samples = box
     every = np.arange(len(samples.points))
-    out = not_worth(cell, [leg], scene, samples, every, rate=rate)
+    out = not_worth(stops_seen(cell, [leg], scene, samples, every), len(every), rate=rate)
     masks = dict(zip([s.viewpoints[0] for s in leg.tour.stops],
                      stop_masks(cell, leg.trajectory, scene, samples, every), strict=True))  # fmt: skip
     seconds = dict(zip(masks, costs(cell, leg.tour, leg.trajectory), strict=True))

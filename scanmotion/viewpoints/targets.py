@@ -95,9 +95,10 @@ def missed(
     standing = (centres[:, 2] < table_z + 2 * model.cell) & (normals[:, 2] < _FACES_TABLE)
     distance = np.where(standing, 0.0, model.distance)
     far = distance > options.gap * spacing
+    whole = Targets(points=centres, normals=normals, areas=twice / 2)
     if space is None:
-        far &= _about(centres, distance > options.sure * spacing, options.beside * spacing)
-    found = [Targets(points=centres[far], normals=normals[far], areas=twice[far] / 2)]
+        far &= near(whole, centres[distance > options.sure * spacing], options.beside * spacing)
+    found = [whole.only(far)]
     if space is None:
         over = [_over(hole, 1.5 * spacing) for hole in holes]
         found += [o.only(~near(o, centres[far], 2.0 * spacing)) for o in over]
@@ -107,13 +108,6 @@ def missed(
     return Targets(
         **{name: np.concatenate([getattr(t, name) for t in found]) for name in ("points", "normals", "areas")}
     )
-
-
-def _about(places: np.ndarray, sure: np.ndarray, reach: float) -> np.ndarray:
-    """Which places (n, 3) lie within `reach` [m] of those that `sure` (n,) marks, shape (n,)."""
-    if not sure.any():
-        return sure
-    return cKDTree(places[sure]).query(places, distance_upper_bound=reach)[0] < np.inf
 
 
 def near(targets: Targets, places: np.ndarray | None, reach: float) -> np.ndarray:
