@@ -26,7 +26,7 @@ def cloud(n: int) -> tuple[np.ndarray, np.ndarray, float]:
     """A dented sphere with about 40 round holes: points [m], normals, radius [m]."""
     from scipy.spatial import cKDTree
 
-    from scanmotion.viewpoints.boundary import neighbour_radius
+    from scanmotion.sensing.holes.boundary import neighbour_radius
 
     rng = np.random.default_rng(0)
     centre = rng.normal(size=(40, 3))
@@ -45,7 +45,7 @@ def cloud(n: int) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def ours(points: np.ndarray, normals: np.ndarray, radius: float):
-    from scanmotion.viewpoints.boundary import boundary_points
+    from scanmotion.sensing.holes.boundary import boundary_points
 
     return lambda rows: boundary_points(points[:rows], normals[:rows], radius=radius)
 

@@ -29,13 +29,13 @@ import numpy as np
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.solvers import SnoptSolver
 
-from scanmotion.cell.clearance import Clearance
-from scanmotion.cell.config import load_cell
-from scanmotion.cell.plant import Cell, build_cell
-from scanmotion.cell.slackplant import SlackPlant
-from scanmotion.motion.reach import ReachOptions, reach
-from scanmotion.part import box_part
-from scanmotion.viewpoints.viewpoint import Viewpoint, look_at
+from scanmotion.cell.build import Cell, build_cell
+from scanmotion.cell.collision.clearance import Clearance
+from scanmotion.cell.ik.slack_plant import SlackPlant
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.viewpoint import Viewpoint, look_at
+from scanmotion.geometry.parts import box_part
+from scanmotion.motion.reach.find import ReachOptions, reach
 
 CLEARANCE_M = 0.01
 HEIGHTS_M = (-0.1, 0.2, 0.6, 1.0)

@@ -6,8 +6,8 @@ A move of code must not change a plan. Run this before and after it and compare 
     python benchmarks/same_bytes.py --against before.txt
 
 The cases are the built-in carving, a box, a measured scan, an interrupted plan taken up again, a plan with
-helices and the paper's own method, each with seed 0. The bytes depend on processor and library versions, so both
-runs belong on one machine.
+helices and the paper's own method, each with seed 0. The bytes depend on processor and library versions, so
+both runs belong on one machine.
 """
 
 import argparse
@@ -32,7 +32,18 @@ def hashes(folder: Path, name: str, arguments: list[str]) -> str:
     """One line for the case `name`, planned into a folder below `folder`."""
     out = folder / name
     words = [a.replace("{carving}", str(folder / "carving")) for a in arguments]
-    command = [sys.executable, "-m", "scanmotion", "plan", *words, "--out", str(out), "--quiet", "--seed", "0"]
+    command = [
+        sys.executable,
+        "-m",
+        "scanmotion",
+        "plan",
+        *words,
+        "--out",
+        str(out),
+        "--quiet",
+        "--seed",
+        "0",
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode not in (0, 1):
         return f"{name} exit {done.returncode} {done.stderr.strip()}"

@@ -16,15 +16,16 @@ import time
 
 import numpy as np
 
-from scanmotion.part import Part, part_from_file
-from scanmotion.scan.captures import Captures, still_captures
-from scanmotion.scan.fuse import fuse
-from scanmotion.scan.kernels import frame_rays
-from scanmotion.scan.merge import merged
-from scanmotion.scan.simulate import _Grid, _spans, simulate
-from scanmotion.scanner import Scanner
-from scanmotion.viewpoints.coverage import Scene, revolution_poses, scene_from
-from scanmotion.viewpoints.stepped_rotary import stepped_rotary
+from scanmotion.core.part import Part
+from scanmotion.core.scanner import Scanner
+from scanmotion.geometry.parts import part_from_file
+from scanmotion.sensing.fusion.fuse import fuse
+from scanmotion.sensing.fusion.merge import merged
+from scanmotion.sensing.simulator.captures import Captures, still_captures
+from scanmotion.sensing.simulator.kernels import frame_rays
+from scanmotion.sensing.simulator.simulate import _Grid, _spans, simulate
+from scanmotion.sensing.visibility import Scene, revolution_poses, scene_from
+from scanmotion.views.stepped_rotary import stepped_rotary
 
 
 def statue(rings: int = 224, *, height: float = 0.5) -> Part:

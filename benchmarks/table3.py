@@ -20,9 +20,10 @@ from pathlib import Path
 import numpy as np
 
 import scanmotion
-from scanmotion.cell.config import load_cell
-from scanmotion.comparison import MEANINGS, PAPER_TABLE_3, VARIANTS, Figures, Row, figures, row_from
-from scanmotion.part import Part, carving, part_from_file
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.part import Part
+from scanmotion.geometry.parts import carving, part_from_file
+from scanmotion.planning.comparison import MEANINGS, PAPER_TABLE_3, VARIANTS, Figures, Row, figures, row_from
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "results.md"

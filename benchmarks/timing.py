@@ -13,12 +13,12 @@ import time
 
 import numpy as np
 
-from scanmotion.cell.config import load_cell
+from scanmotion.cell.build import Cell, build_cell
 from scanmotion.cell.kinematics import scanner_poses, tcp_jacobian
-from scanmotion.cell.plant import Cell, build_cell
-from scanmotion.motion.steer import least_seconds, ways
-from scanmotion.motion.timing import motions, time_plan
-from scanmotion.motion.tour import Path, Stop, Tour
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.tour import Path, Stop, Tour
+from scanmotion.motion.timing.operations import motions, time_plan
+from scanmotion.motion.transit.straight_line import least_seconds, ways
 
 LOW = np.radians([-40, -110, 60, -90, -100, -150, -300])
 HIGH = np.radians([40, -50, 130, 90, 100, 150, 300])

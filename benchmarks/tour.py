@@ -16,14 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from scanmotion.cell.config import load_cell
+from scanmotion.cell.build import Cell, build_cell
 from scanmotion.cell.kinematics import branches, object_poses
-from scanmotion.cell.plant import Cell, build_cell
-from scanmotion.motion.reach import Reach
-from scanmotion.motion.seconds import move_model, stop_seconds
-from scanmotion.motion.sequence import sequence
-from scanmotion.motion.tsp import tour_from_cost
-from scanmotion.viewpoints.viewpoint import Viewpoint, look_at
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.viewpoint import Viewpoint, look_at
+from scanmotion.motion.order.sequence import sequence
+from scanmotion.motion.order.tsp import tour_from_cost
+from scanmotion.motion.reach.find import Reach
+from scanmotion.motion.transit_cost import move_model, stop_seconds
 
 ROBOTSP = Path(__file__).resolve().parents[2] / "shared" / "data" / "robotsp"
 

@@ -22,13 +22,14 @@ from pathlib import Path
 
 import numpy as np
 
-from scanmotion.cell.clearance import Clearance
-from scanmotion.cell.config import load_cell
-from scanmotion.legs import leg_from
-from scanmotion.outcome import Plan
-from scanmotion.part import Part, carving, part_from_file
-from scanmotion.pipeline import PlanOptions, plan
-from scanmotion.trajectory import Trajectory
+from scanmotion.cell.collision.clearance import Clearance
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.part import Part
+from scanmotion.core.trajectory import Trajectory
+from scanmotion.geometry.parts import carving, part_from_file
+from scanmotion.planning.outcome import Plan
+from scanmotion.planning.pipeline import PlanOptions, plan
+from scanmotion.planning.segment import leg_from
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 OVER_FLOOR, OF_PAPER = 1.10, 0.5

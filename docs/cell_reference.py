@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from scanmotion.cell.config import CellSettings, ObstacleSettings
+from scanmotion.cell.settings import CellSettings, ObstacleSettings
 
 HEAD = """# The cell's YAML
 

@@ -29,8 +29,8 @@ def scene_picture(page: Path, to: Path) -> None:
 
 def coverage_picture(folder: Path, to: Path) -> None:
     """The part after the global step and at the end."""
-    from scanmotion.figures.maps import coverage_figure
-    from scanmotion.loaded import load_plan
+    from scanmotion.plan_io.load import load_plan
+    from scanmotion.report.figures.maps import coverage_figure
 
     coverage_figure(load_plan(folder)).savefig(to, metadata={"Software": None})
 

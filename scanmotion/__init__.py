@@ -12,47 +12,45 @@ __version__ = "0.1.0"
 # In a notebook Open3D would open its WebRTC window system, and say so.
 os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
 
-_HOMES = {
-    "ScanMotionError": "errors",
-    "part_from_file": "part",
-    "box_part": "part",
-    "carving": "part",
-    "Scanner": "scanner",
-    "viewpoints": "",
-    "load_cell": "cell.config",
-    "build_cell": "cell.plant",
-    "reach": "motion.reach",
-    "tour_from_cost": "motion.tsp",
-    "PlanOptions": "pipeline",
-    "plan": "pipeline",
-    "load_plan": "loaded",
+_HOMES = {  # a colon behind a name: the module itself
+    "ScanMotionError": "core.errors",
+    "part_from_file": "geometry.parts",
+    "box_part": "geometry.parts",
+    "carving": "geometry.parts",
+    "Scanner": "core.scanner",
+    "viewpoints": "viewpoints:",
+    "load_cell": "cell.settings",
+    "build_cell": "cell.build",
+    "reach": "motion.reach.find",
+    "tour_from_cost": "motion.order.tsp",
+    "PlanOptions": "planning.pipeline",
+    "plan": "planning.pipeline",
+    "load_plan": "plan_io.load",
     "verify": "judge",
     "export_plan": "export",
-    "compare": "comparison",
-    "show": "",
-    "report": "",
+    "compare": "planning.comparison",
+    "show": "report.scene:",
+    "report": "report.page:",
 }
 
 __all__ = list(_HOMES)
 
 if TYPE_CHECKING:
-    from scanmotion.cell.config import load_cell as load_cell
-    from scanmotion.cell.plant import build_cell as build_cell
-    from scanmotion.errors import ScanMotionError as ScanMotionError
-    from scanmotion.part import box_part as box_part
-    from scanmotion.part import carving as carving
-    from scanmotion.part import part_from_file as part_from_file
-    from scanmotion.scanner import Scanner as Scanner
+    from scanmotion.cell.build import build_cell as build_cell
+    from scanmotion.cell.settings import load_cell as load_cell
+    from scanmotion.core.errors import ScanMotionError as ScanMotionError
+    from scanmotion.core.scanner import Scanner as Scanner
+    from scanmotion.geometry.parts import box_part as box_part
+    from scanmotion.geometry.parts import carving as carving
+    from scanmotion.geometry.parts import part_from_file as part_from_file
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'scanmotion' has no attribute {name!r}")
-    home = _HOMES[name]
-    if not home:
-        value = importlib.import_module(f"scanmotion.{name}")
-    else:
-        value = getattr(importlib.import_module(f"scanmotion.{home}"), name)
+    home, is_module, _ = _HOMES[name].partition(":")
+    module = importlib.import_module(f"scanmotion.{home}")
+    value = module if is_module else getattr(module, name)
     globals()[name] = value
     return value
 

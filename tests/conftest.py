@@ -41,8 +41,8 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="session")
 def kr240_cell():
     """The built-in cell without a part."""
-    from scanmotion.cell.config import load_cell
-    from scanmotion.cell.plant import build_cell
+    from scanmotion.cell.build import build_cell
+    from scanmotion.cell.settings import load_cell
 
     return build_cell(load_cell("kr240"))
 
@@ -52,8 +52,8 @@ def pitted_plan():
     """Both steps of a block with a pit, coarsely; plans are not changed by those who look at them."""
     from test_plan import TINY, pitted
 
-    from scanmotion.cell.config import load_cell
-    from scanmotion.pipeline import PlanOptions, plan
+    from scanmotion.cell.settings import load_cell
+    from scanmotion.planning.pipeline import PlanOptions, plan
 
     return plan(pitted(), load_cell("kr240"), options=PlanOptions(seed=5, **TINY))
 
@@ -71,13 +71,13 @@ def clean_scan(lump):
     """Three turns about the lump with the stated noise."""
     from scans import turns
 
-    from scanmotion.scan.simulate import ScanErrors
+    from scanmotion.sensing.simulator.simulate import ScanErrors
 
     return turns(lump, ScanErrors())
 
 
 @pytest.fixture(scope="session")
 def lump_cloud(clean_scan):
-    from scanmotion.scan.fuse import fuse
+    from scanmotion.sensing.fusion.fuse import fuse
 
     return fuse([clean_scan])

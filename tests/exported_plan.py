@@ -9,9 +9,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from scanmotion.cell.kinematics import scanner_in_object, scanner_poses, tcp_jacobian
-from scanmotion.outcome import plan_record
-from scanmotion.trajectory import joined
-from scanmotion.viewpoints.viewpoint import Slack, Viewpoint
+from scanmotion.core.trajectory import joined
+from scanmotion.core.viewpoint import Slack, Viewpoint
+from scanmotion.planning.outcome import plan_record
 
 SPEED = 0.1
 """What the sweep reaches, less a thousandth [m/s]."""

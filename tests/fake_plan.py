@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from scanmotion.part import box_part, surface_samples
-from scanmotion.trajectory import Operation, Trajectory
-from scanmotion.viewpoints.viewpoint import Viewpoint, look_at
+from scanmotion.core.trajectory import Operation, Trajectory
+from scanmotion.core.viewpoint import Viewpoint, look_at
+from scanmotion.geometry.parts import box_part, surface_samples
 
 
 def smooth(share):

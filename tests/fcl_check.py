@@ -4,9 +4,9 @@ import fcl
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
-from scanmotion.cell.filter import IGNORED_PAIRS
-from scanmotion.cell.plant import TABLE, TOOL, Cell
-from scanmotion.cell.scene import add_cell
+from scanmotion.cell.build import TABLE, TOOL, Cell
+from scanmotion.cell.collision.sphere_filter import IGNORED_PAIRS
+from scanmotion.cell.drake_scene import add_cell
 
 
 class FclCell:

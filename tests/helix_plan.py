@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 from judged_plan import poses_in_object, station
 
-from scanmotion.cell.clearance import Clearance
-from scanmotion.cell.config import load_cell
-from scanmotion.cell.plant import build_cell
-from scanmotion.motion.join import joined_stops
-from scanmotion.motion.timing import time_plan
-from scanmotion.motion.tour import Stop, Tour
-from scanmotion.motion.transit import transits
-from scanmotion.outcome import plan_files, plan_record
-from scanmotion.part import box_part
+from scanmotion.cell.build import build_cell
+from scanmotion.cell.collision.clearance import Clearance
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.tour import Stop, Tour
+from scanmotion.geometry.parts import box_part
+from scanmotion.motion.order.helix_choice import joined_stops
+from scanmotion.motion.timing.operations import time_plan
+from scanmotion.motion.transit.plan import transits
+from scanmotion.planning.outcome import plan_files, plan_record
 
 ARMS = np.deg2rad([[10, 20, -10, 5, 20, 0], [12, 14, -8, 5, 24, 4], [8, 8, -6, 0, 30, 8]])
 """The places, from home."""

@@ -13,12 +13,12 @@ import numpy as np
 from fake_plan import trajectory_through
 from scipy.interpolate import CubicSpline
 
-from scanmotion.cell.config import load_cell
+from scanmotion.cell.build import build_cell
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.cell.plant import build_cell
-from scanmotion.outcome import plan_files, plan_record
-from scanmotion.part import box_part
-from scanmotion.viewpoints.viewpoint import Slack, Viewpoint
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.viewpoint import Slack, Viewpoint
+from scanmotion.geometry.parts import box_part
+from scanmotion.planning.outcome import plan_files, plan_record
 
 STANDOFF = 0.6
 KINDS = ["transit", "revolution", "transit", "sweep", "transit", "dwell"]

@@ -2,16 +2,17 @@
 
 import numpy as np
 
-from scanmotion.part import Part, box_part, surface_samples
-from scanmotion.scan.captures import Captures, ScanErrors
-from scanmotion.scan.fuse import fuse
-from scanmotion.scan.images import depth_images
-from scanmotion.scan.merge import merged
-from scanmotion.scan.simulate import simulate
-from scanmotion.scanner import Scanner
-from scanmotion.viewpoints.coverage import revolution_poses, scene_from
-from scanmotion.viewpoints.frontier import Space
-from scanmotion.viewpoints.select import LocalStep, local_step
+from scanmotion.core.part import Part
+from scanmotion.core.scanner import Scanner
+from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.sensing.free_space import Space
+from scanmotion.sensing.fusion.fuse import fuse
+from scanmotion.sensing.fusion.merge import merged
+from scanmotion.sensing.simulator.captures import Captures, ScanErrors
+from scanmotion.sensing.simulator.images import depth_images
+from scanmotion.sensing.simulator.simulate import simulate
+from scanmotion.sensing.visibility import revolution_poses, scene_from
+from scanmotion.views.next_best_views import LocalStep, local_step
 
 STRIDE, VOXEL, TABLE = 4, 0.004, 0.76
 SCANNER = Scanner()

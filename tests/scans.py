@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from scanmotion.part import Part
-from scanmotion.scan.captures import Captures, motion
-from scanmotion.scan.fuse import Cloud, RawPoints
-from scanmotion.scan.simulate import simulate
-from scanmotion.scanner import Scanner
-from scanmotion.viewpoints.coverage import scene_from
-from scanmotion.viewpoints.viewpoint import look_at
+from scanmotion.core.part import Part
+from scanmotion.core.scanner import Scanner
+from scanmotion.core.viewpoint import look_at
+from scanmotion.sensing.fusion.fuse import Cloud, RawPoints
+from scanmotion.sensing.simulator.captures import Captures, motion
+from scanmotion.sensing.simulator.simulate import simulate
+from scanmotion.sensing.visibility import scene_from
 
 SCANNER = Scanner(rays=(212, 148))
 

@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_simulate import sphere
 
-from scanmotion.errors import InputError
-from scanmotion.part import Part, SurfaceSamples, surface_samples
-from scanmotion.scan.assess import accuracy, completeness, completeness_by_distance, signed_distances
+from scanmotion.core.errors import InputError
+from scanmotion.core.part import Part, SurfaceSamples
+from scanmotion.geometry.parts import surface_samples
+from scanmotion.sensing.assess import accuracy, completeness, completeness_by_distance, signed_distances
 
 R = 0.05
 

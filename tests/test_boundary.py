@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from scanmotion.errors import HoleError
-from scanmotion.viewpoints.boundary import (
+from scanmotion.core.errors import HoleError
+from scanmotion.sensing.holes.boundary import (
     boundary_points,
     neighbour_radius,
     oriented_normals,

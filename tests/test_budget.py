@@ -7,14 +7,14 @@ import pytest
 from judged_plan import hand_made_plan
 from test_plan import TINY
 
-from scanmotion.budget import Coverage, budget_record, coverage_of
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.motion.tour import Stop
-from scanmotion.pipeline import PlanOptions
-from scanmotion.replan import replan
-from scanmotion.report import report_html
-from scanmotion.scan.simulate import ScanErrors, captures_from_trajectory, simulate
-from scanmotion.viewpoints.coverage import scene_from
+from scanmotion.core.tour import Stop
+from scanmotion.planning.budget import Coverage, budget_record, coverage_of
+from scanmotion.planning.pipeline import PlanOptions
+from scanmotion.planning.replan import replan
+from scanmotion.report.page import report_html
+from scanmotion.sensing.simulator.simulate import ScanErrors, captures_from_trajectory, simulate
+from scanmotion.sensing.visibility import scene_from
 
 OPTIONS = PlanOptions(seed=5, **TINY)
 
@@ -47,7 +47,7 @@ def coverage():
 
 def with_limit(cell, limit):
     process = cell.settings.process.model_copy(update={"budget_s": limit})
-    from scanmotion.cell.plant import build_cell
+    from scanmotion.cell.build import build_cell
 
     return build_cell(cell.settings.model_copy(update={"process": process}), cell.part)
 
@@ -112,7 +112,7 @@ def test_over_the_budget_something_is_always_advised(made, stops, coverage):
 
 def test_coverage_is_what_the_twin_sees(made, kr240_cell):
     """Of a dwell, whose frames are all looked at: the twin without errors sees exactly the same samples."""
-    from scanmotion.part import surface_samples
+    from scanmotion.geometry.parts import surface_samples
 
     cell, part = made.cell, made.part
     samples = surface_samples(part, 3000, rng=np.random.default_rng(1))
@@ -175,6 +175,6 @@ def test_the_report_shows_it(planned, tmp_path):
     budget = late.summary["budget"]
     assert not budget["ok"] and budget["advice"]
     assert "Over the budget" in page and "costliest stops" in page and "completeness against seconds" in page
-    from scanmotion.loaded import load_plan
+    from scanmotion.plan_io.load import load_plan
 
     assert load_plan(tmp_path / "late").summary["budget"] == budget

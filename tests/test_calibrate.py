@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scans import SCANNER, turns
 
-from scanmotion.errors import InputError
-from scanmotion.scan.assess import accuracy
-from scanmotion.scan.calibrate import PARAMETERS, calibrate, corrected, errors_from
-from scanmotion.scan.captures import inverse
-from scanmotion.scan.fuse import fuse
-from scanmotion.scan.simulate import ScanErrors, simulate, still_captures
-from scanmotion.viewpoints.coverage import scene_from
-from scanmotion.viewpoints.viewpoint import look_at
+from scanmotion.core.errors import InputError
+from scanmotion.core.viewpoint import look_at
+from scanmotion.sensing.assess import accuracy
+from scanmotion.sensing.calibration import PARAMETERS, calibrate, corrected, errors_from
+from scanmotion.sensing.fusion.fuse import fuse
+from scanmotion.sensing.simulator.captures import inverse
+from scanmotion.sensing.simulator.simulate import ScanErrors, simulate, still_captures
+from scanmotion.sensing.visibility import scene_from
 
 PLANTED = ScanErrors(
     hand_eye_m=(2e-4, -1e-4, 3e-4), hand_eye_rad=(5e-4, -3e-4, 2e-4), axis_m=(2e-4, -1.5e-4),

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from fcl_check import FclCell
 
-from scanmotion.cell.clearance import PAD_M, Clearance
-from scanmotion.cell.config import load_cell, settings_from
+from scanmotion.cell.build import build_cell
+from scanmotion.cell.collision.clearance import PAD_M, Clearance
+from scanmotion.cell.drake_scene import drake_of
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.cell.plant import build_cell
-from scanmotion.cell.scene import drake_of
-from scanmotion.part import Part, box_part
+from scanmotion.cell.settings import load_cell, settings_from
+from scanmotion.core.part import Part
+from scanmotion.geometry.parts import box_part
 
 TOLERANCE_M = 2e-4
 """How far FCL's iterative distances are trusted."""
@@ -145,9 +146,9 @@ def test_path_free_names_the_blocked_edge_and_the_pair(checker, rows):
 
 def test_a_notch_is_free_and_its_hull_is_not(cell, checker, second):
     """The scanner over the trough's floor, between its walls: Drake's hull of the part would forbid it."""
-    from scanmotion.cell.slackplant import SlackPlant
-    from scanmotion.motion.reach import reach
-    from scanmotion.viewpoints.viewpoint import Viewpoint, look_at
+    from scanmotion.cell.ik.slack_plant import SlackPlant
+    from scanmotion.core.viewpoint import Viewpoint, look_at
+    from scanmotion.motion.reach.find import reach
 
     view = Viewpoint(
         id="V", X_OS=look_at(np.array([0, 0, 0.45]), np.array([0, 0, -1.0])), standoff=0.35, step="local",

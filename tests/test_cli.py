@@ -56,7 +56,7 @@ def test_no_command_shows_help():
 
 
 def test_robots_lists_the_builtin_cells_with_their_sources():
-    from scanmotion.cell.config import builtin_cells
+    from scanmotion.cell.settings import builtin_cells
 
     rows = json.loads(run("robots", "--json").output)
     assert [row["name"] for row in rows] == list(builtin_cells())
@@ -72,7 +72,7 @@ def test_cell_init_writes_what_cell_check_accepts(tmp_path):
     assert checked.exit_code == 0, checked.output
     assert len(checked.output.splitlines()) == 1 + 7
 
-    from scanmotion.cell.config import load_cell
+    from scanmotion.cell.settings import load_cell
 
     mine, builtin = load_cell(file), load_cell("kr240")
     assert mine.model_dump() == builtin.model_dump()
@@ -147,7 +147,7 @@ def test_holes_do_not_depend_on_the_unit(tmp_path, rng):
 
 
 def test_fuse_brings_posed_scans_into_one_frame(tmp_path, rng):
-    from scanmotion.part import part_from_file
+    from scanmotion.geometry.parts import part_from_file
 
     # Two halves of a bowl, each in a frame of its own.
     disc = rng.random((30_000, 2)) * 200 - 100

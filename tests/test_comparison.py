@@ -13,10 +13,14 @@ from scipy.spatial import ConvexHull
 from test_plan import TINY, pitted
 from typer.testing import CliRunner
 
-from scanmotion import comparison
-from scanmotion.cell.config import load_cell
+from scanmotion.cell.settings import load_cell
 from scanmotion.cli import app
-from scanmotion.comparison import (
+from scanmotion.core.errors import InputError, PartError
+from scanmotion.core.part import Part
+from scanmotion.core.scanner import Scanner
+from scanmotion.geometry.parts import box_part
+from scanmotion.planning import comparison
+from scanmotion.planning.comparison import (
     HEADER,
     MEANINGS,
     PAPER_TABLE_3,
@@ -29,12 +33,9 @@ from scanmotion.comparison import (
     markdown,
     row_from,
 )
-from scanmotion.errors import InputError, PartError
-from scanmotion.part import Part, box_part
-from scanmotion.pipeline import PlanOptions
-from scanmotion.scanner import Scanner
-from scanmotion.viewpoints.cad_slicing import _offset, cad_slicing
-from scanmotion.viewpoints.surface_partitioning import surface_partitioning
+from scanmotion.planning.pipeline import PlanOptions
+from scanmotion.views.cad_slicing import _offset, cad_slicing
+from scanmotion.views.surface_partitioning import surface_partitioning
 
 ROOT = Path(__file__).resolve().parents[1]
 OPTIONS = PlanOptions(**TINY)

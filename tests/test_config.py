@@ -9,16 +9,10 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanmotion.cell.config import (
-    CellSettings,
-    builtin_cells,
-    cell_template,
-    load_cell,
-    settings_from,
-)
-from scanmotion.cell.plant import build_cell, check_room
-from scanmotion.errors import CellError, ScanMotionError
-from scanmotion.part import box_part
+from scanmotion.cell.build import build_cell, check_room
+from scanmotion.cell.settings import CellSettings, builtin_cells, cell_template, load_cell, settings_from
+from scanmotion.core.errors import CellError, ScanMotionError
+from scanmotion.geometry.parts import box_part
 
 FAULTS = [
     ({"turntable": {"heigth_m": 0.7}}, "turntable.heigth_m", "unknown"),

@@ -9,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rounds import blocked, boxes
 
-from scanmotion.part import Part, box_part, surface_samples
-from scanmotion.scanner import Scanner
-from scanmotion.viewpoints import coverage
-from scanmotion.viewpoints.coverage import (
+from scanmotion.core.part import Part
+from scanmotion.core.scanner import Scanner
+from scanmotion.core.viewpoint import look_at
+from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.sensing import visibility as coverage
+from scanmotion.sensing.visibility import (
     GUESSED,
     free_lines,
     greedy_cover,
@@ -26,7 +28,6 @@ from scanmotion.viewpoints.coverage import (
     turns_see,
     visible,
 )
-from scanmotion.viewpoints.viewpoint import look_at
 
 SCANNER = Scanner()
 FAR = (np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))

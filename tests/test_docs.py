@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from scanmotion.cell.config import load_cell
+from scanmotion.cell.settings import load_cell
 from scanmotion.cli import app
-from scanmotion.part import box_part, surface_samples
+from scanmotion.geometry.parts import box_part, surface_samples
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -87,7 +87,7 @@ def test_cell_reference_is_current():
 
 
 def test_cell_reference_names_every_key():
-    from scanmotion.cell.config import cell_template
+    from scanmotion.cell.settings import cell_template
 
     text = (ROOT / "docs" / "cell.md").read_text(encoding="utf-8")
     for key in re.findall(r"^  (\w+):", cell_template(), flags=re.M):

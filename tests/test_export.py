@@ -20,20 +20,20 @@ from krl_reader import read_programme
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from scanmotion.cell.config import load_cell
+from scanmotion.cell.build import build_cell
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.cell.plant import build_cell
+from scanmotion.cell.settings import load_cell
 from scanmotion.cli import app
-from scanmotion.errors import InputError, PlanFileError, ScanMotionError
+from scanmotion.core.errors import InputError, PlanFileError, ScanMotionError
+from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
 from scanmotion.export import FORMATS, export_plan
 from scanmotion.export.knots import polyline_knots, spline_knots
 from scanmotion.export.krl_moves import number
 from scanmotion.export.pose import abc_from_rotation, arm_from_urdf
 from scanmotion.export.source import source_from, write_files
 from scanmotion.export.viewpoints import quaternion, read_viewpoints, rotation, write_viewpoints
-from scanmotion.outcome import plan_files
-from scanmotion.part import box_part
-from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.geometry.parts import box_part
+from scanmotion.planning.outcome import plan_files
 
 
 @pytest.fixture(scope="module")

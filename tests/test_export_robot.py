@@ -14,17 +14,17 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from scanmotion.cell.config import load_cell
-from scanmotion.cell.plant import build_cell
-from scanmotion.cell.scene import drake_of
-from scanmotion.errors import InputError
+from scanmotion.cell.build import build_cell
+from scanmotion.cell.drake_scene import drake_of
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.errors import InputError
+from scanmotion.core.trajectory import Trajectory
 from scanmotion.export import export_plan, krl
 from scanmotion.export.source import source_from, write_files
+from scanmotion.geometry.parts import box_part
 from scanmotion.judge import verify
-from scanmotion.outcome import plan_files
-from scanmotion.part import box_part
-from scanmotion.planfile import csv_text
-from scanmotion.trajectory import Trajectory
+from scanmotion.plan_io.schema import csv_text
+from scanmotion.planning.outcome import plan_files
 
 LAST_DIGIT = 0.51e-5
 """Half of the last digit of a programme's numbers [deg or mm]."""

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from scans import cap, raw
 from scipy.spatial import cKDTree
 
-from scanmotion.errors import InputError
-from scanmotion.scan.assess import accuracy
-from scanmotion.scan.captures import Captures
-from scanmotion.scan.fuse import RawPoints, fuse, fuse_points
-from scanmotion.viewpoints.coverage import revolution_poses
-from scanmotion.viewpoints.viewpoint import look_at
+from scanmotion.core.errors import InputError
+from scanmotion.core.viewpoint import look_at
+from scanmotion.sensing.assess import accuracy
+from scanmotion.sensing.fusion.fuse import RawPoints, fuse, fuse_points
+from scanmotion.sensing.simulator.captures import Captures
+from scanmotion.sensing.visibility import revolution_poses
 
 
 def test_a_noisy_plane_is_averaged(rng):

@@ -12,11 +12,12 @@ import pytest
 from fake_plan import fake_plan
 from judged_plan import hand_made_files
 
-from scanmotion.cell.config import cell_template, load_cell
-from scanmotion.errors import CellError, InputError, PartError
+from scanmotion.cell.settings import cell_template, load_cell
+from scanmotion.core.errors import CellError, InputError, PartError
+from scanmotion.core.part import Part
 from scanmotion.export import export_plan
-from scanmotion.loaded import load_plan
-from scanmotion.part import Part, part_from_file
+from scanmotion.geometry.parts import part_from_file
+from scanmotion.plan_io.load import load_plan
 
 V = 100.0 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
 F = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 4], [1, 4, 3], [2, 3, 4]])

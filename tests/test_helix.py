@@ -14,21 +14,21 @@ from krl_reader import read_programme
 from scipy.interpolate import CubicSpline
 from test_plan import TINY, pitted
 
-from scanmotion import joining
-from scanmotion.cell.config import load_cell
+from scanmotion.cell.build import build_cell
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.cell.plant import build_cell
-from scanmotion.errors import InputError, TimingError
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.errors import InputError, TimingError
 from scanmotion.export import export_plan
+from scanmotion.geometry.parts import box_part
 from scanmotion.judge import verify
-from scanmotion.motion.floor import least_scanning_seconds
-from scanmotion.motion.helix import helix_motion, ramp_angle, turns_of, way_law
-from scanmotion.motion.join import joined_stops
-from scanmotion.motion.seconds import jerk_limited_seconds, move_model, stop_seconds
-from scanmotion.outcome import plan_files
-from scanmotion.part import box_part
-from scanmotion.pipeline import PlanOptions, plan
-from scanmotion.planfile import csv_text
+from scanmotion.motion.order.helix_choice import joined_stops
+from scanmotion.motion.order.lower_bound import least_scanning_seconds
+from scanmotion.motion.timing.helix import helix_motion, ramp_angle, turns_of, way_law
+from scanmotion.motion.transit_cost import jerk_limited_seconds, move_model, stop_seconds
+from scanmotion.plan_io.schema import csv_text
+from scanmotion.planning import helices as joining
+from scanmotion.planning.outcome import plan_files
+from scanmotion.planning.pipeline import PlanOptions, plan
 
 TURN = 2 * np.pi
 OVERLAPS = (1.0, 0.5, 0.0)

@@ -13,14 +13,14 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from scanmotion.cell.config import builtin_cells, load_cell
+from scanmotion.cell.build import build_cell
 from scanmotion.cell.kinematics import flange_poses, scanner_poses
-from scanmotion.cell.plant import build_cell
-from scanmotion.errors import PlanFileError
+from scanmotion.cell.settings import builtin_cells, load_cell
+from scanmotion.core.errors import PlanFileError
 from scanmotion.judge import verify
 from scanmotion.judge.limits import check_limits
 from scanmotion.judge.motion import arm_from_urdf, exponentials, motion_at
-from scanmotion.planfile import read_plan, read_trajectory
+from scanmotion.plan_io.schema import read_plan, read_trajectory
 
 ROOT = Path(__file__).resolve().parents[1] / "scanmotion"
 TRANSIT, REVOLUTION, TO_SWEEP, SWEEP, TO_DWELL, DWELL = range(6)
@@ -697,7 +697,8 @@ def test_the_judge_imports_nothing_of_what_it_judges():
 def test_judging_loads_neither_the_planner_nor_drake():
     code = (
         "import sys, scanmotion.judge\n"
-        "bad = {'pydrake', *('scanmotion.' + r for r in ('motion', 'cell', 'scan', 'viewpoints'))}\n"
+        "rooms = ('motion', 'cell', 'sensing', 'views', 'planning')\n"
+        "bad = {'pydrake', *('scanmotion.' + r for r in rooms)}\n"
         "print(sorted(bad & set(sys.modules)))"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -10,12 +10,12 @@ from judged_plan import Written, hand_made_files
 from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
+from scanmotion.geometry.parts import box_part
 from scanmotion.judge import contact
 from scanmotion.judge.contact import STEP_M, Block, blocks, exact_distance, separation
 from scanmotion.judge.motion import arm_from_urdf, motion_at
 from scanmotion.judge.solids import PART, STILL, Solid, pairs_of, solids_of
-from scanmotion.part import box_part
-from scanmotion.planfile import read_plan, read_trajectory
+from scanmotion.plan_io.schema import read_plan, read_trajectory
 
 
 def random_poses(rng, n, reach):

@@ -5,12 +5,12 @@ import re
 import numpy as np
 import pytest
 
-from scanmotion.cell.clearance import Clearance
-from scanmotion.cell.config import load_cell
-from scanmotion.cell.plant import build_cell
-from scanmotion.legs import leg_from
-from scanmotion.part import box_part
-from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.cell.build import build_cell
+from scanmotion.cell.collision.clearance import Clearance
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.geometry.parts import box_part
+from scanmotion.planning.segment import leg_from
 
 DEAR = re.compile(r"not worth its seconds: it would cost (\d+\.\d) s")
 

@@ -8,10 +8,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from scanmotion.errors import InputError
-from scanmotion.scanner import Scanner
-from scanmotion.viewpoints.holes import Hole
-from scanmotion.viewpoints.local import grid_positions, local_viewpoints, paper_positions
+from scanmotion.core.errors import InputError
+from scanmotion.core.scanner import Scanner
+from scanmotion.sensing.holes.find import Hole
+from scanmotion.views.hole_views import grid_positions, local_viewpoints, paper_positions
 
 SCANNER = Scanner()
 L, W = (float(side) for side in SCANNER.field(0.7))

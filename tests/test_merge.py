@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from scanmotion.errors import InputError
-from scanmotion.part import Part
-from scanmotion.scan.assess import accuracy
-from scanmotion.scan.fuse import Cloud, fuse
-from scanmotion.scan.merge import merged
-from scanmotion.scan.simulate import simulate, still_captures
-from scanmotion.scanner import Scanner
-from scanmotion.viewpoints.coverage import scene_from
-from scanmotion.viewpoints.holes import holes_from_cloud
-from scanmotion.viewpoints.viewpoint import look_at
+from scanmotion.core.errors import InputError
+from scanmotion.core.part import Part
+from scanmotion.core.scanner import Scanner
+from scanmotion.core.viewpoint import look_at
+from scanmotion.sensing.assess import accuracy
+from scanmotion.sensing.fusion.fuse import Cloud, fuse
+from scanmotion.sensing.fusion.merge import merged
+from scanmotion.sensing.holes.find import holes_from_cloud
+from scanmotion.sensing.simulator.simulate import simulate, still_captures
+from scanmotion.sensing.visibility import scene_from
 
 SCANNER = Scanner(rays=(212, 148))
 VOXEL = 0.002

@@ -12,9 +12,9 @@ import yaml
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
-from scanmotion.cell.config import builtin_cells, load_cell
-from scanmotion.cell.plant import robot_facts
+from scanmotion.cell.build import robot_facts
 from scanmotion.cell.robot import robot_from_urdf
+from scanmotion.cell.settings import builtin_cells, load_cell
 
 MODELS = Path(__file__).resolve().parents[1] / "models"
 ROBOTS = ("kr240", "kr240-ultra", "kr210", "irb6700", "ur10e")
@@ -131,7 +131,7 @@ def test_inertias_are_those_of_solids(name):
 
 def corners(robot, link):
     """Corners of the collision bodies of a link, in its frame."""
-    from scanmotion.cell.filter import box_of
+    from scanmotion.cell.collision.sphere_filter import box_of
 
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     bodies = [b for b in robot.bodies if b.link == link]
@@ -192,9 +192,9 @@ def test_every_mesh_is_a_closed_convex_body_that_a_urdf_shows():
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_each_robot_has_a_cell_that_starts_free_and_sees_the_table(name):
-    from scanmotion.cell.clearance import Clearance
+    from scanmotion.cell.build import build_cell
+    from scanmotion.cell.collision.clearance import Clearance
     from scanmotion.cell.kinematics import scanner_poses
-    from scanmotion.cell.plant import build_cell
 
     assert name in builtin_cells()
     cell = build_cell(load_cell(name))

@@ -6,12 +6,12 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from scanmotion.cell.config import load_cell
-from scanmotion.cell.plant import robot_facts
-from scanmotion.loaded import load_plan
-from scanmotion.part import box_part, models_dir
-from scanmotion.pipeline import PlanOptions, plan
-from scanmotion.show import _Bodies
+from scanmotion.cell.build import robot_facts
+from scanmotion.cell.settings import load_cell
+from scanmotion.geometry.parts import box_part, models_dir
+from scanmotion.plan_io.load import load_plan
+from scanmotion.planning.pipeline import PlanOptions, plan
+from scanmotion.report.scene import _Bodies
 
 
 @pytest.fixture(scope="module")

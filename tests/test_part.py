@@ -8,8 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scanmotion.errors import PartError
-from scanmotion.part import box_part, carving, check_fits, models_dir, part_from_file, surface_samples
+from scanmotion.core.errors import PartError
+from scanmotion.geometry.parts import (
+    box_part,
+    carving,
+    check_fits,
+    models_dir,
+    part_from_file,
+    surface_samples,
+)
 
 BOX = box_part(0.2, 0.1, 0.3)
 

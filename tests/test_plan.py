@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 import scanmotion as sm
-from scanmotion.cell.config import load_cell
-from scanmotion.errors import InputError, PartError
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.errors import InputError, PartError
+from scanmotion.core.part import Part
+from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.judge import verify
-from scanmotion.outcome import plan_files
-from scanmotion.part import Part, box_part, surface_samples
-from scanmotion.pipeline import PlanOptions, plan
-from scanmotion.planfile import CSV_HEADER, read_json, read_plan, read_trajectory
+from scanmotion.plan_io.schema import CSV_HEADER, read_json, read_plan, read_trajectory
+from scanmotion.planning.outcome import plan_files
+from scanmotion.planning.pipeline import PlanOptions, plan
 
 TINY = {"rounds": 1, "samples": 4000, "stride": 4, "voxel": 0.004}
 

@@ -17,11 +17,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from judged_plan import Written, hand_made_files, hand_made_plan
 
-from scanmotion import planfile
-from scanmotion.errors import PlanFileError, ScanMotionError
+from scanmotion.core.errors import PlanFileError, ScanMotionError
 from scanmotion.judge import verify
-from scanmotion.outcome import plan_files
-from scanmotion.planfile import (
+from scanmotion.plan_io import schema as planfile
+from scanmotion.plan_io.schema import (
     CSV_HEADER,
     PlanRecord,
     atomic_folder,
@@ -32,6 +31,7 @@ from scanmotion.planfile import (
     read_text,
     read_trajectory,
 )
+from scanmotion.planning.outcome import plan_files
 
 
 @pytest.fixture(scope="module")
@@ -451,7 +451,7 @@ def test_a_killed_run_leaves_one_of_the_two_plans(tmp_path):
     # A process rewrites the folder without end and is killed at odd moments.
     target = tmp_path / "plan"
     code = (
-        "import sys\nfrom scanmotion.planfile import atomic_folder\nn = 0\n"
+        "import sys\nfrom scanmotion.plan_io.schema import atomic_folder\nn = 0\n"
         "while True:\n    n += 1\n"
         "    atomic_folder(sys.argv[1], {'plan.json': str(n), 'a': str(n) * 20000, 'b': str(n)})\n"
         "    print(n, flush=True)\n"

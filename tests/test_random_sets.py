@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from scanmotion.cell.clearance import Clearance
-from scanmotion.cell.config import load_cell
-from scanmotion.cell.plant import build_cell
-from scanmotion.legs import leg_from
-from scanmotion.outcome import Plan, Round
-from scanmotion.part import box_part
-from scanmotion.pipeline import PlanOptions
-from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.cell.build import build_cell
+from scanmotion.cell.collision.clearance import Clearance
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.geometry.parts import box_part
+from scanmotion.planning.outcome import Plan, Round
+from scanmotion.planning.pipeline import PlanOptions
+from scanmotion.planning.segment import leg_from
 
 MOST = 5
 """Viewpoints or sweeps of one set."""

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from fcl_check import FclCell
 
-from scanmotion.cell.clearance import Clearance
-from scanmotion.cell.config import load_cell, settings_from
+from scanmotion.cell.build import build_cell, robot_path
+from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.kinematics import branches, scanner_poses, wrist_shortfall
-from scanmotion.cell.plant import build_cell, robot_path
-from scanmotion.motion.candidates import candidates, presented, table_angles
-from scanmotion.motion.causes import Change, cause_of
-from scanmotion.motion.reach import ReachOptions, reach, reachable_mask
-from scanmotion.part import box_part
-from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.cell.settings import load_cell, settings_from
+from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.geometry.parts import box_part
+from scanmotion.motion.reach.diagnosis import Change, cause_of
+from scanmotion.motion.reach.find import ReachOptions, reach, reachable_mask
+from scanmotion.motion.reach.ik_candidates import candidates, presented, table_angles
 
 TOLERANCE_M = 2e-4
 ALL = ReachOptions(most=10**6)

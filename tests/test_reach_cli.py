@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from scanmotion.cell.config import load_cell, settings_from
-from scanmotion.cell.plant import build_cell
+from scanmotion.cell.build import build_cell
+from scanmotion.cell.settings import load_cell, settings_from
 from scanmotion.cli.app import app
 from scanmotion.cli.arms import DISTANCES_M, HEIGHTS_M, moved_table, reach_record, sweep_rows
-from scanmotion.motion.reach import ReachOptions, reach
-from scanmotion.part import box_part
-from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.geometry.parts import box_part
+from scanmotion.motion.reach.find import ReachOptions, reach
 
 
 def views():

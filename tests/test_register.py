@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scans import turns, wrong
 
-from scanmotion.errors import InputError
-from scanmotion.part import surface_samples
-from scanmotion.scan.captures import inverse, motion
-from scanmotion.scan.fuse import Cloud, fuse
-from scanmotion.scan.register import align, register, transformed
-from scanmotion.scan.simulate import ScanErrors
+from scanmotion.core.errors import InputError
+from scanmotion.geometry.parts import surface_samples
+from scanmotion.sensing.fusion.fuse import Cloud, fuse
+from scanmotion.sensing.registration import align, register, transformed
+from scanmotion.sensing.simulator.captures import inverse, motion
+from scanmotion.sensing.simulator.simulate import ScanErrors
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -9,12 +9,12 @@ from test_plan import TINY
 from typer.testing import CliRunner
 
 from scanmotion.cli.app import app
-from scanmotion.errors import InputError, PlanFileError
+from scanmotion.core.errors import InputError, PlanFileError
 from scanmotion.judge import verify
-from scanmotion.loaded import load_plan
-from scanmotion.pipeline import PlanOptions
-from scanmotion.planfile import read_json, read_plan, read_trajectory
-from scanmotion.replan import FAILED, last_operation, replan
+from scanmotion.plan_io.load import load_plan
+from scanmotion.plan_io.schema import read_json, read_plan, read_trajectory
+from scanmotion.planning.pipeline import PlanOptions
+from scanmotion.planning.replan import FAILED, last_operation, replan
 
 OPTIONS = PlanOptions(**TINY)
 

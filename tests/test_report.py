@@ -8,11 +8,13 @@ import pytest
 from browser import screenshot
 from fake_plan import fake_hole, fake_plan
 
-import scanmotion.report as mut
-from scanmotion.figures import palette
-from scanmotion.figures.charts import tcp_speed
-from scanmotion.figures.maps import causes_of
-from scanmotion.figures.surface import (
+import scanmotion.report.page as mut
+from scanmotion.core.part import Part
+from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.report.figures import palette
+from scanmotion.report.figures.charts import tcp_speed
+from scanmotion.report.figures.maps import causes_of
+from scanmotion.report.figures.surface import (
     in_sight,
     nearest_status,
     picture_of,
@@ -21,8 +23,7 @@ from scanmotion.figures.surface import (
     status_of_samples,
     view_of,
 )
-from scanmotion.part import Part, box_part, surface_samples
-from scanmotion.report import report_html
+from scanmotion.report.page import report_html
 
 
 @pytest.fixture(scope="module")

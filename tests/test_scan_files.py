@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from scans import wrong
 
-from scanmotion.errors import InputError, PartError
-from scanmotion.partfile import read_geometry
-from scanmotion.scan.assess import accuracy
-from scanmotion.scan.captures import inverse, motion, turned
-from scanmotion.scan.files import (
+from scanmotion.core.errors import InputError, PartError
+from scanmotion.geometry.part_files import read_geometry
+from scanmotion.sensing.assess import accuracy
+from scanmotion.sensing.fusion.fuse import Cloud
+from scanmotion.sensing.registration import transformed
+from scanmotion.sensing.scan_files import (
     fuse_files,
     fuse_folder,
     load_scan,
@@ -16,8 +17,7 @@ from scanmotion.scan.files import (
     save_scan,
     scans_from_poses,
 )
-from scanmotion.scan.fuse import Cloud
-from scanmotion.scan.register import transformed
+from scanmotion.sensing.simulator.captures import inverse, motion, turned
 
 
 def test_scans_and_clouds_survive_the_disk(clean_scan, lump_cloud, tmp_path):

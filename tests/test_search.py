@@ -5,14 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import scanmotion.search as module
-from scanmotion.cell.config import load_cell
-from scanmotion.part import Part
-from scanmotion.pipeline import PlanOptions, plan
-from scanmotion.scan.fuse import Cloud
-from scanmotion.scanner import Scanner
-from scanmotion.search import Search, Surroundings
-from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
+import scanmotion.planning.evidence as module
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.part import Part
+from scanmotion.core.scanner import Scanner
+from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.planning.evidence import Search, Surroundings
+from scanmotion.planning.pipeline import PlanOptions, plan
+from scanmotion.sensing.fusion.fuse import Cloud
 
 AROUND = Surroundings(table_radius=0.76, table_z=0.0, pedestal_radius=0.0)
 RATE, AREA = 2e-5, 0.5

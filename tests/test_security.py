@@ -119,8 +119,8 @@ def test_a_billion_claimed_triangles_take_no_memory(watched):
     """The most memory that the process ever held grows by less than a megabyte."""
     code = (
         "import resource, sys, io, contextlib\n"
-        "from scanmotion.part import part_from_file\n"
-        "from scanmotion.errors import ScanMotionError\n"
+        "from scanmotion.geometry.parts import part_from_file\n"
+        "from scanmotion.core.errors import ScanMotionError\n"
         "import open3d, scipy.spatial\n"
         "most = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "before = most()\n"
@@ -136,7 +136,7 @@ def test_a_billion_claimed_triangles_take_no_memory(watched):
 
 
 def arm(change=("", "")) -> str:
-    from scanmotion.part import models_dir
+    from scanmotion.geometry.parts import models_dir
 
     text = (models_dir() / "robots" / "kr240.urdf").read_text()
     assert change[0] in text

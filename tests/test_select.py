@@ -8,16 +8,23 @@ import pytest
 from rounds import SCANNER, TABLE, VOXEL, Rounds, block_with_pit, blocked, boxes, frames
 from scipy.spatial import cKDTree
 
-from scanmotion.errors import HoleError
-from scanmotion.part import Part, box_part
-from scanmotion.viewpoints.candidates import CandidateOptions, candidates
-from scanmotion.viewpoints.coverage import hemisphere, scene_from, sees, visible
-from scanmotion.viewpoints.frontier import Space
-from scanmotion.viewpoints.model import closed_model, surface_nets, without_pinches
-from scanmotion.viewpoints.select import REVOLUTION_S, SECONDS_PER_METRE, STATION_S, SelectOptions, local_step
-from scanmotion.viewpoints.stepped_rotary import stepped_rotary
-from scanmotion.viewpoints.targets import Targets
-from scanmotion.viewpoints.viewpoint import look_at
+from scanmotion.core.errors import HoleError
+from scanmotion.core.part import Part
+from scanmotion.core.viewpoint import look_at
+from scanmotion.geometry.parts import box_part
+from scanmotion.sensing.closed_surface import closed_model, surface_nets, without_pinches
+from scanmotion.sensing.free_space import Space
+from scanmotion.sensing.visibility import hemisphere, scene_from, sees, visible
+from scanmotion.views.candidate_views import CandidateOptions, candidates
+from scanmotion.views.next_best_views import (
+    REVOLUTION_S,
+    SECONDS_PER_METRE,
+    STATION_S,
+    SelectOptions,
+    local_step,
+)
+from scanmotion.views.stepped_rotary import stepped_rotary
+from scanmotion.views.targets import Targets
 
 LONE = replace(SCANNER, baseline=0.0)
 EDGE, EDGE_OF_CELLS = 0.002, VOXEL

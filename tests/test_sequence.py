@@ -9,13 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import scanmotion.motion.sequence as mut
+import scanmotion.motion.order.sequence as mut
 from scanmotion.cell.kinematics import branches, object_poses, scanner_in_object, scanner_poses
-from scanmotion.errors import InputError
-from scanmotion.motion import floor as floor_module
-from scanmotion.motion.curve import completeness_curve
-from scanmotion.motion.layers import best_states
-from scanmotion.motion.seconds import (
+from scanmotion.core.errors import InputError
+from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.motion.order import lower_bound as floor_module
+from scanmotion.motion.order.completeness_curve import completeness_curve
+from scanmotion.motion.order.generalised_tsp import best_states
+from scanmotion.motion.order.stops import natural, windings
+from scanmotion.motion.order.sweeps import line_poses
+from scanmotion.motion.transit_cost import (
     edge_seconds,
     jerk_limited_seconds,
     move_matrix,
@@ -24,9 +27,6 @@ from scanmotion.motion.seconds import (
     path_seconds,
     scanner_positions,
 )
-from scanmotion.motion.stops import natural, windings
-from scanmotion.motion.sweeps import line_poses
-from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
 
 QUICK = mut.SequenceOptions(states=400, most_per_stop=24, rounds=3, effort=2_000_000)
 

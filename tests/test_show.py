@@ -15,12 +15,12 @@ from fake_plan import fake_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import scanmotion.show as mut
+import scanmotion.report.scene as mut
 from scanmotion.cell.kinematics import flange_poses
-from scanmotion.figures import shapes, sight
-from scanmotion.part import box_part, carving
-from scanmotion.scanner import Scanner
-from scanmotion.viewpoints.coverage import scene_from, sees
+from scanmotion.core.scanner import Scanner
+from scanmotion.geometry.parts import box_part, carving
+from scanmotion.report.figures import shapes, sight
+from scanmotion.sensing.visibility import scene_from, sees
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scanmotion.errors import InputError
-from scanmotion.part import Part, surface_samples
-from scanmotion.scan.captures import motion, true_poses, turned
-from scanmotion.scan.kernels import frame_rays, hull_rows, surely_lit
-from scanmotion.scan.simulate import (
+from scanmotion.core.errors import InputError
+from scanmotion.core.part import Part
+from scanmotion.core.scanner import Scanner
+from scanmotion.core.trajectory import Operation, Trajectory
+from scanmotion.core.viewpoint import look_at
+from scanmotion.geometry.parts import surface_samples
+from scanmotion.sensing.simulator.captures import motion, true_poses, turned
+from scanmotion.sensing.simulator.kernels import frame_rays, hull_rows, surely_lit
+from scanmotion.sensing.simulator.simulate import (
     Captures,
     ScanErrors,
     _spans,
@@ -19,10 +23,7 @@ from scanmotion.scan.simulate import (
     simulate,
     still_captures,
 )
-from scanmotion.scanner import Scanner
-from scanmotion.trajectory import Operation, Trajectory
-from scanmotion.viewpoints.coverage import scene_from, sees
-from scanmotion.viewpoints.viewpoint import look_at
+from scanmotion.sensing.visibility import scene_from, sees
 
 SCANNER = Scanner(rays=(106, 74))
 ONE_EYE = replace(SCANNER, baseline=0.0)

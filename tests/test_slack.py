@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from fcl_check import FclCell
 
-from scanmotion.cell.clearance import Clearance
-from scanmotion.cell.config import settings_from
-from scanmotion.cell.plant import build_cell
-from scanmotion.cell.slackplant import SlackPlant
-from scanmotion.motion import slack as module
-from scanmotion.motion.reach import ReachOptions, reach
-from scanmotion.motion.slack import SlackSearch, distances, has_slack, seeds_from, variants
-from scanmotion.part import box_part
-from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.cell.build import build_cell
+from scanmotion.cell.collision.clearance import Clearance
+from scanmotion.cell.ik.slack_plant import SlackPlant
+from scanmotion.cell.settings import settings_from
+from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.geometry.parts import box_part
+from scanmotion.motion.reach.find import ReachOptions, reach
+from scanmotion.motion.reach.find import slack as module
+from scanmotion.motion.reach.slack import SlackSearch, distances, has_slack, seeds_from, variants
 
 TOLERANCE_M = 2e-4
 SLACK = Slack(standoff=(-0.05, 0.05), tilt=np.deg2rad(10.0), roll=False)

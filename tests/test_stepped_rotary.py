@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from scanmotion.errors import InputError
-from scanmotion.part import box_part, surface_samples
-from scanmotion.scanner import Scanner
-from scanmotion.viewpoints.coverage import scene_from, turns_see
-from scanmotion.viewpoints.stepped_rotary import oblique_turn, stepped_rotary
+from scanmotion.core.errors import InputError
+from scanmotion.core.scanner import Scanner
+from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.sensing.visibility import scene_from, turns_see
+from scanmotion.views.stepped_rotary import oblique_turn, stepped_rotary
 
 SCANNER = Scanner()
 WORKED = (0.33, 0.20, 0.60)

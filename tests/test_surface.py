@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from scanmotion.partfile import read_geometry
-from scanmotion.scan.assess import accuracy
-from scanmotion.scan.fuse import Cloud
-from scanmotion.scan.surface import deviation_mesh, surface
+from scanmotion.geometry.part_files import read_geometry
+from scanmotion.sensing.assess import accuracy
+from scanmotion.sensing.fusion.fuse import Cloud
+from scanmotion.sensing.fusion.surface import deviation_mesh, surface
 
 
 def test_surface_is_trimmed_to_the_data(lump, lump_cloud):

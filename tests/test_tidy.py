@@ -7,15 +7,15 @@ import pytest
 from test_legs import views  # noqa: F401
 from test_plan import TINY, pitted
 
-from scanmotion.cell.clearance import Clearance
-from scanmotion.cell.config import load_cell
-from scanmotion.cell.plant import build_cell
-from scanmotion.legs import costs, leg_from, silent, with_left_out
-from scanmotion.part import box_part, surface_samples
-from scanmotion.pipeline import PlanOptions, Trip
-from scanmotion.tidy import not_worth, stop_masks, stops_seen
-from scanmotion.viewpoints.coverage import revolution_poses, scene_from, seen_by_any
-from scanmotion.viewpoints.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.cell.build import build_cell
+from scanmotion.cell.collision.clearance import Clearance
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
+from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.planning.pipeline import PlanOptions, Trip
+from scanmotion.planning.prune import not_worth, stop_masks, stops_seen
+from scanmotion.planning.segment import costs, leg_from, silent, with_left_out
+from scanmotion.sensing.visibility import revolution_poses, scene_from, seen_by_any
 
 REASON = "not worth its seconds: it adds "
 

@@ -10,16 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scanmotion.errors import TimingError
-from scanmotion.motion.profile import Derivatives, Limits, floor_seconds, parameter_grid
-from scanmotion.motion.scale import fastest_law, ruckig_law
-from scanmotion.motion.spline import (
-    corner_cut,
-    spline_beside,
-    spline_through,
-    subdivided,
-)
-from scanmotion.motion.tour import Path, Stop, Tour
+from scanmotion.core.errors import TimingError
+from scanmotion.core.tour import Path, Stop, Tour
+from scanmotion.motion.timing.jerk_limited import fastest_law, ruckig_law
+from scanmotion.motion.timing.speed_profile import Derivatives, Limits, floor_seconds, parameter_grid
+from scanmotion.motion.timing.spline import corner_cut, spline_beside, spline_through, subdivided
 
 LIMITS = Limits(
     v=np.array([1.8, 1.6, 1.7, 3.0, 2.3, 3.6, 1.05]),
@@ -191,7 +186,7 @@ def test_one_metre_at_a_tenth_of_a_metre_per_second():
 
 @pytest.mark.parametrize("through", [False, True])
 def test_what_a_law_is_checked_by_is_the_same_as_by_scipy(through):
-    from scanmotion.motion import scale
+    from scanmotion.motion.timing.operations import jerk_limited as scale
 
     rng = np.random.default_rng(3)
     path, d = joint_path(rng, 5)
@@ -213,7 +208,7 @@ def test_what_a_law_is_checked_by_is_the_same_as_by_scipy(through):
 
 
 def test_a_running_maximum_is_that_of_every_window(rng):
-    from scanmotion.motion.scale import _running_max
+    from scanmotion.motion.timing.jerk_limited import _running_max
 
     x = rng.normal(size=200)
     brute = [x[max(n - 7, 0) : n + 8].max() for n in range(200)]
@@ -269,7 +264,7 @@ def sweep_path(scanner_poses, tcp_jacobian, cell, q, way, count=25):
 
 def test_scanner_speed_is_that_of_the_jacobian(kr240_cell, rng):
     from scanmotion.cell.kinematics import tcp_jacobian
-    from scanmotion.motion.drive import positions, speeds
+    from scanmotion.motion.transit.drive import positions, speeds
 
     q, q1 = rng.uniform(LOW, HIGH, size=(50, 7)), rng.normal(size=(50, 7))
     p1 = np.einsum("nij,nj->ni", tcp_jacobian(kr240_cell, q)[:, 3:], q1)
@@ -279,7 +274,7 @@ def test_scanner_speed_is_that_of_the_jacobian(kr240_cell, rng):
 
 @pytest.fixture(scope="module")
 def timed(kr240_cell):
-    from scanmotion.motion.timing import time_plan
+    from scanmotion.motion.timing.operations import time_plan
 
     tour, paths = random_tour(kr240_cell, np.random.default_rng(5), 9)
     return tour, paths, time_plan(kr240_cell, tour, paths, sample_s=0.001)
@@ -303,7 +298,7 @@ def test_tour_keeps_the_limits_by_finite_differences_of_1_ms(kr240_cell, timed):
 
 
 def test_written_samples_keep_the_limits_after_rounding(kr240_cell, timed):
-    from scanmotion.motion.timing import time_plan
+    from scanmotion.motion.timing.operations import time_plan
 
     tour, paths, fine = timed
     trajectory = time_plan(kr240_cell, tour, paths)
@@ -380,7 +375,7 @@ def test_a_revolution_takes_the_closed_form(kr240_cell, timed):
 
 
 def test_transits_stay_on_the_curve_beside_the_checked_path(kr240_cell, timed):
-    from scanmotion.motion.drive import transit_spline
+    from scanmotion.motion.transit.drive import transit_spline
 
     _, paths, trajectory = timed
     transits = [o for o in trajectory.operations if o.kind == "transit"]
@@ -393,7 +388,7 @@ def test_transits_stay_on_the_curve_beside_the_checked_path(kr240_cell, timed):
 
 
 def test_transit_time_is_close_to_its_way_at_the_transit_speed(kr240_cell):
-    from scanmotion.motion.timing import transit_motion
+    from scanmotion.motion.timing.operations import transit_motion
 
     rng = np.random.default_rng(8)
     total = bound = 0.0
@@ -410,7 +405,7 @@ def test_transit_time_is_close_to_its_way_at_the_transit_speed(kr240_cell):
 
 
 def test_total_is_close_to_the_floor_without_jerk_limit(kr240_cell, timed):
-    from scanmotion.motion.timing import motions
+    from scanmotion.motion.timing.operations import motions
 
     tour, paths, _ = timed
     placed = list(motions(kr240_cell, tour, paths))
@@ -418,7 +413,7 @@ def test_total_is_close_to_the_floor_without_jerk_limit(kr240_cell, timed):
 
 
 def test_the_same_tour_gives_the_same_trajectory(kr240_cell, timed):
-    from scanmotion.motion.timing import time_plan
+    from scanmotion.motion.timing.operations import time_plan
 
     tour, paths, first = timed
     second = time_plan(kr240_cell, tour, paths, sample_s=0.001)
@@ -438,7 +433,7 @@ def with_speed(cell, speed):
 
 @pytest.mark.parametrize("speed", [0.05, 0.5, 2.0])
 def test_the_transit_speed_is_the_users(kr240_cell, speed):
-    from scanmotion.motion.timing import transit_motion
+    from scanmotion.motion.timing.operations import transit_motion
 
     cell = with_speed(kr240_cell, speed)
     rng = np.random.default_rng(2)
@@ -454,7 +449,7 @@ def test_the_transit_speed_is_the_users(kr240_cell, speed):
 
 
 def test_nothing_to_do_is_a_trajectory_of_one_sample(kr240_cell):
-    from scanmotion.motion.timing import time_plan
+    from scanmotion.motion.timing.operations import time_plan
 
     tour = Tour(start_q=kr240_cell.home, stops=(), seconds=0.0, floor=0.0)
     trajectory = time_plan(kr240_cell, tour, [])
@@ -462,7 +457,7 @@ def test_nothing_to_do_is_a_trajectory_of_one_sample(kr240_cell):
 
 
 def test_a_stop_without_a_move_needs_no_transit(kr240_cell):
-    from scanmotion.motion.timing import time_plan
+    from scanmotion.motion.timing.operations import time_plan
 
     q = np.asarray(kr240_cell.home, dtype=float)
     stop = Stop(viewpoints=("V0",), kind="dwell", q_in=q, q_out=q)
@@ -477,7 +472,7 @@ def test_a_stop_without_a_move_needs_no_transit(kr240_cell):
 
 
 def test_a_path_that_leads_elsewhere_is_refused(kr240_cell, timed):
-    from scanmotion.motion.timing import time_plan
+    from scanmotion.motion.timing.operations import time_plan
 
     tour, paths, _ = timed
     beside = Path(q=paths[0].q + 1e-3, seconds=0.0, method="joint")
@@ -488,7 +483,7 @@ def test_a_path_that_leads_elsewhere_is_refused(kr240_cell, timed):
 
 
 def test_a_path_out_of_range_names_the_axis(kr240_cell):
-    from scanmotion.motion.timing import transit_motion
+    from scanmotion.motion.timing.operations import transit_motion
 
     q = np.array([kr240_cell.home, kr240_cell.home], dtype=float)
     q[1, 4] = kr240_cell.q_max[4] + 0.2
@@ -500,7 +495,7 @@ def test_a_path_out_of_range_names_the_axis(kr240_cell):
 
 
 def test_a_sweep_that_stands_still_is_refused(kr240_cell):
-    from scanmotion.motion.timing import time_plan
+    from scanmotion.motion.timing.operations import time_plan
 
     q = np.asarray(kr240_cell.home, dtype=float)
     for path, words in ((None, "no path"), (np.array([q, q, q]), "does not move")):
@@ -511,7 +506,7 @@ def test_a_sweep_that_stands_still_is_refused(kr240_cell):
 
 
 def test_a_sweep_that_changes_the_arms_configuration_is_refused(kr240_cell, timed):
-    from scanmotion.motion.timing import time_plan
+    from scanmotion.motion.timing.operations import time_plan
 
     tour, _, _ = timed
     stop = next(s for s in tour.stops if s.kind == "sweep")

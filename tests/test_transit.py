@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scanmotion.errors import PathError
-from scanmotion.motion.tour import Stop, Tour
+from scanmotion.core.errors import PathError
+from scanmotion.core.tour import Stop, Tour
 
 LOW = np.radians([-40, -110, 60, -90, -100, -150, -170])
 HIGH = np.radians([40, -50, 130, 90, 100, 150, 170])
@@ -60,7 +60,7 @@ def everything_between(x0, x1):
 def sides(kr240_cell):
     """Two configurations with the scanner at y = +-0.45 m in front of the robot, the same height."""
     from scanmotion.cell.kinematics import branches
-    from scanmotion.viewpoints.viewpoint import look_at
+    from scanmotion.core.viewpoint import look_at
 
     ends = []
     for y in (-0.45, 0.45):
@@ -83,7 +83,7 @@ def pillar(p):
 
 
 def test_free_gap_takes_the_scanners_straight_line(kr240_cell, sides, rng):
-    from scanmotion.motion.transit import transit
+    from scanmotion.motion.transit.plan import transit
 
     path = transit(kr240_cell, Walls(kr240_cell, nothing), *sides, rng=rng)
     assert path.method == "line"
@@ -99,8 +99,8 @@ def test_free_gap_takes_the_scanners_straight_line(kr240_cell, sides, rng):
 
 
 def test_the_driven_line_is_straight_too(kr240_cell, sides, rng):
-    from scanmotion.motion.drive import transit_spline
-    from scanmotion.motion.transit import transit
+    from scanmotion.motion.transit.drive import transit_spline
+    from scanmotion.motion.transit.plan import transit
 
     path = transit(kr240_cell, Walls(kr240_cell, nothing), *sides, rng=rng)
     curve = transit_spline(kr240_cell, path.q)
@@ -111,8 +111,8 @@ def test_the_driven_line_is_straight_too(kr240_cell, sides, rng):
 
 
 def test_a_planted_pillar_is_passed_by_about_the_shortest_way(kr240_cell, sides):
-    from scanmotion.motion.drive import transit_spline
-    from scanmotion.motion.transit import transit
+    from scanmotion.motion.transit.drive import transit_spline
+    from scanmotion.motion.transit.plan import transit
 
     walls = Walls(kr240_cell, pillar)
     path = transit(kr240_cell, walls, *sides, rng=np.random.default_rng(1))
@@ -126,7 +126,7 @@ def test_a_planted_pillar_is_passed_by_about_the_shortest_way(kr240_cell, sides)
 
 
 def test_a_joint_line_is_taken_where_the_scanners_line_is_blocked(kr240_cell, sides, rng, monkeypatch):
-    from scanmotion.motion import transit as mut
+    from scanmotion.motion.transit.plan import plan as mut
 
     # The joint line swings outwards; a thin post stands on the chord.
     joint = sides[0] + 0.5 * (sides[1] - sides[0])
@@ -141,7 +141,7 @@ def test_a_joint_line_is_taken_where_the_scanners_line_is_blocked(kr240_cell, si
 
 
 def test_the_same_seed_plans_the_same_path(kr240_cell, sides):
-    from scanmotion.motion.transit import transit
+    from scanmotion.motion.transit.plan import transit
 
     first, second = (
         transit(kr240_cell, Walls(kr240_cell, pillar), *sides, rng=np.random.default_rng(7)) for _ in range(2)
@@ -150,7 +150,7 @@ def test_the_same_seed_plans_the_same_path(kr240_cell, sides):
 
 
 def test_a_closed_wall_names_what_blocks_and_which_stop(kr240_cell, sides, monkeypatch):
-    from scanmotion.motion import transit as mut
+    from scanmotion.motion.transit.plan import plan as mut
 
     monkeypatch.setattr(mut, "_FEW_CHECKS", 50)
     walls = Walls(kr240_cell, everything_between(-0.2, 0.2))
@@ -168,7 +168,7 @@ def test_a_closed_wall_names_what_blocks_and_which_stop(kr240_cell, sides, monke
 
 
 def test_transits_join_the_stops(kr240_cell, rng):
-    from scanmotion.motion.transit import transits
+    from scanmotion.motion.transit.plan import transits
 
     qs = rng.uniform(LOW, HIGH, size=(5, 7))
     turned = qs + np.array([0, 0, 0, 0, 0, 0, 2 * np.pi])
@@ -194,8 +194,8 @@ def test_transits_join_the_stops(kr240_cell, rng):
 @given(st.integers(0, 10**6), st.sampled_from([0.05, 0.2, 0.6]))
 @settings(max_examples=15)
 def test_no_way_beats_the_bound_and_the_first_comes_close(kr240_cell, seed, share):
-    from scanmotion.motion.steer import least_seconds, ways
-    from scanmotion.motion.timing import transit_motion
+    from scanmotion.motion.timing.operations import transit_motion
+    from scanmotion.motion.transit.straight_line import least_seconds, ways
 
     rng = np.random.default_rng(seed)
     qa = rng.uniform(LOW, HIGH)
@@ -211,8 +211,8 @@ def test_no_way_beats_the_bound_and_the_first_comes_close(kr240_cell, seed, shar
 
 
 def test_the_table_turns_beside_the_arm_within_its_own_ramps(kr240_cell, sides):
-    from scanmotion.motion.steer import least_seconds, ways
-    from scanmotion.motion.timing import transit_motion
+    from scanmotion.motion.timing.operations import transit_motion
+    from scanmotion.motion.transit.straight_line import least_seconds, ways
 
     qa, qb = (side.copy() for side in sides)
     qb[6] = np.pi / 2
@@ -228,8 +228,8 @@ def test_the_table_turns_beside_the_arm_within_its_own_ramps(kr240_cell, sides):
 
 
 def test_a_pure_table_move_takes_the_tables_time(kr240_cell, sides):
-    from scanmotion.motion.steer import ways
-    from scanmotion.motion.timing import transit_motion
+    from scanmotion.motion.timing.operations import transit_motion
+    from scanmotion.motion.transit.straight_line import ways
 
     qa = sides[0]
     qb = qa.copy()
@@ -245,14 +245,14 @@ def test_a_pure_table_move_takes_the_tables_time(kr240_cell, sides):
 @pytest.mark.parametrize("seed, goals", [(7, 3), pytest.param(4, 6, marks=pytest.mark.slow)])
 def test_transits_round_a_carving_keep_the_clearance_exactly(seed, goals):
     """The driven curves, sampled anew and judged by the exact tier alone."""
-    from scanmotion.cell.clearance import Clearance
-    from scanmotion.cell.config import load_cell
+    from scanmotion.cell.build import build_cell
+    from scanmotion.cell.collision.clearance import Clearance
     from scanmotion.cell.kinematics import branches
-    from scanmotion.cell.plant import build_cell
-    from scanmotion.motion.drive import transit_spline
-    from scanmotion.motion.transit import transit
-    from scanmotion.part import carving
-    from scanmotion.viewpoints.viewpoint import look_at
+    from scanmotion.cell.settings import load_cell
+    from scanmotion.core.viewpoint import look_at
+    from scanmotion.geometry.parts import carving
+    from scanmotion.motion.transit.drive import transit_spline
+    from scanmotion.motion.transit.plan import transit
 
     cell = build_cell(load_cell("kr240"), carving())
     clearance = Clearance(cell)
@@ -282,7 +282,7 @@ def test_transits_round_a_carving_keep_the_clearance_exactly(seed, goals):
 
 
 def planned(seed, blocked, checks=2000):
-    from scanmotion.motion.roadmap import plan_round
+    from scanmotion.motion.transit.rrt_connect import plan_round
 
     def free(q):
         return not blocked(q)

@@ -11,24 +11,24 @@ from scans import SCANNER, bumpy, turns
 from test_plan import TINY, pitted
 from typer.testing import CliRunner
 
-from scanmotion.cell.config import load_cell, settings_from
+from scanmotion.cell.settings import load_cell, settings_from
 from scanmotion.cli import app
 from scanmotion.cli.planning import twin_rows
-from scanmotion.errors import CellError, InputError
+from scanmotion.core.errors import CellError, InputError
+from scanmotion.core.viewpoint import look_at
+from scanmotion.geometry.part_files import read_geometry
+from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.judge import verify
-from scanmotion.loaded import load_plan
-from scanmotion.measured import calibration_record, surface_record
-from scanmotion.part import box_part, surface_samples
-from scanmotion.partfile import read_geometry
-from scanmotion.pipeline import PlanOptions, plan
-from scanmotion.scan.assess import signed_distances
-from scanmotion.scan.calibrate import PARAMETERS, Calibration, errors_from
-from scanmotion.scan.captures import ScanErrors, motion
-from scanmotion.scan.files import load_scan
-from scanmotion.scan.fuse import fuse
-from scanmotion.scan.mend import Mender, Mending, moved
-from scanmotion.scan.simulate import simulate, still_captures
-from scanmotion.viewpoints.viewpoint import look_at
+from scanmotion.plan_io.load import load_plan
+from scanmotion.plan_io.measured import calibration_record, surface_record
+from scanmotion.planning.pipeline import PlanOptions, plan
+from scanmotion.sensing.assess import signed_distances
+from scanmotion.sensing.calibration import PARAMETERS, Calibration, errors_from
+from scanmotion.sensing.corrections import Mender, Mending, moved
+from scanmotion.sensing.fusion.fuse import fuse
+from scanmotion.sensing.scan_files import load_scan
+from scanmotion.sensing.simulator.captures import ScanErrors, motion
+from scanmotion.sensing.simulator.simulate import simulate, still_captures
 
 OPTIONS = {**TINY, "seed": 5}
 SCAN_FILES = {"cloud.ply", "deviation.ply", "frames-1.npz"}

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rounds import SCANNER, TABLE, block_with_pit
 
-from scanmotion.part import surface_samples
-from scanmotion.viewpoints.candidates import Candidates
-from scanmotion.viewpoints.coverage import scene_from
-from scanmotion.viewpoints.targets import Targets
-from scanmotion.viewpoints.unscanned import (
+from scanmotion.geometry.parts import surface_samples
+from scanmotion.sensing.visibility import scene_from
+from scanmotion.views.candidate_views import Candidates
+from scanmotion.views.targets import Targets
+from scanmotion.views.unscanned import (
     CANNOT_BE_REACHED,
     CANNOT_BE_SEEN,
     NOT_WORTH,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import umsgpack
 
-from scanmotion.viewpoints.holes import holes_from_cloud
-from scanmotion.viewpoints.show import scene, write_page
-from scanmotion.viewpoints.viewpoint import Viewpoint
+from scanmotion.core.viewpoint import Viewpoint
+from scanmotion.report.viewpoint_scene import scene, write_page
+from scanmotion.sensing.holes.find import holes_from_cloud
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from scanmotion.viewpoints.model import surface_nets, without_pinches
+from scanmotion.sensing.closed_surface import surface_nets, without_pinches
 
 SIZE = np.array([600.0, 330.0, 200.0])
 STEP = 5.0  # grid of the distance field [mm]

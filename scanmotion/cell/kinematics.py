@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scanmotion.cell.inverse import Solved, solver_of
+from scanmotion.cell.ik.choice import Solved, solver_of
 from scanmotion.cell.model import Cell
 from scanmotion.cell.robot import arm_poses, inverse_poses
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from scanmotion.cell.config import CellSettings
 from scanmotion.cell.robot import Body, Robot
-from scanmotion.part import Part
+from scanmotion.cell.settings import CellSettings
+from scanmotion.core.part import Part
 
 TOOL, TABLE, WORLD = 7, 8, 9
 """Values of Body.link beside 0..6."""

@@ -10,7 +10,7 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from scanmotion.errors import CellError
+from scanmotion.core.errors import CellError
 
 MOST_M = 20.0
 """Longest side of a solid of a robot [m]."""

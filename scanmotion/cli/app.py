@@ -11,7 +11,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from scanmotion.errors import ScanMotionError
+from scanmotion.core.errors import ScanMotionError
 
 OK, CHECK_FAILED, BAD_INPUT, FAULT, INTERRUPTED = 0, 1, 2, 3, 130
 """Exit statuses: passes; a plan was made but a check failed; bad input; a fault of ours; Ctrl-C."""

@@ -23,7 +23,7 @@ from scanmotion.cli.inputs import (
     only_one,
     part_and_source,
 )
-from scanmotion.errors import InputError
+from scanmotion.core.errors import InputError
 
 DISTANCES_M = (1.8, 2.0, 2.2, 2.4)
 HEIGHTS_M = (0.5, 0.7, 0.9)
@@ -85,8 +85,8 @@ def reach(
 
 def find(settings: Any, subject: Any, views: tuple, progress: Progress) -> list:
     """The reach of a cell for some viewpoints."""
-    from scanmotion.cell.plant import build_cell
-    from scanmotion.motion.reach import reach as find_reach
+    from scanmotion.cell.build import build_cell
+    from scanmotion.motion.reach.find import reach as find_reach
 
     return find_reach(build_cell(settings, subject), views, progress=lambda f: progress("reach", f))
 
@@ -119,10 +119,10 @@ def moved_table(settings: Any, distance: float, height: float) -> Any:
 
 
 def _share(settings: Any, subject: Any, views: tuple) -> float | None:
-    from scanmotion.cell.plant import build_cell
-    from scanmotion.errors import CellError
-    from scanmotion.motion.reach import ReachOptions
-    from scanmotion.motion.reach import reach as find_reach
+    from scanmotion.cell.build import build_cell
+    from scanmotion.core.errors import CellError
+    from scanmotion.motion.reach.find import ReachOptions
+    from scanmotion.motion.reach.find import reach as find_reach
 
     try:
         cell = build_cell(settings, subject)
@@ -146,7 +146,7 @@ def _say_sweep(rows: list[dict[str, float | None]], *, quiet: bool, json: bool) 
 
 def draw_reach(found: list, subject: Any, settings: Any, path: Path) -> None:
     """Writes a map of the viewpoints: served, or the cause why not."""
-    from scanmotion.figures.maps import reach_map
+    from scanmotion.report.figures.maps import reach_map
 
     causes = {r.viewpoint.id: "served" if r.unreachable is None else r.unreachable.cause for r in found}
     radius = settings.turntable.diameter_m / 2
@@ -192,7 +192,7 @@ def reach_row(item: Any) -> tuple[str, ...]:
 
 def robot_record(name: str, settings: Any) -> dict[str, Any]:
     """A built-in cell and the robot in it."""
-    from scanmotion.cell.plant import robot_facts
+    from scanmotion.cell.build import robot_facts
 
     facts = robot_facts()[settings.robot.model]
     return {"name": name} | {key: facts[key] for key in ("title", "reach_m", "payload_kg", "source")}
@@ -200,7 +200,7 @@ def robot_record(name: str, settings: Any) -> dict[str, Any]:
 
 def robots(json: Json = False) -> int:
     """List the built-in robots and cells."""
-    from scanmotion.cell.config import builtin_cells, load_cell
+    from scanmotion.cell.settings import builtin_cells, load_cell
 
     records = [robot_record(name, load_cell(name)) for name in builtin_cells()]
     if json:

@@ -8,7 +8,7 @@ import typer
 
 from scanmotion.cli.app import OK, print_table
 from scanmotion.cli.inputs import Robot, write_text
-from scanmotion.errors import CellError, InputError
+from scanmotion.core.errors import CellError, InputError
 
 cell_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode="rich", help="Start or check a description of your own cell."
@@ -21,7 +21,7 @@ def init(
     robot: Robot = None,
 ) -> int:
     """Write a commented YAML to start from."""
-    from scanmotion.cell.config import cell_template
+    from scanmotion.cell.settings import cell_template
 
     if file.exists():
         raise InputError(f"{file}: is there already; name another file")
@@ -35,7 +35,7 @@ def init(
 @cell_app.command(epilog="Example: scanmotion cell check my-cell.yaml")
 def check(file: Annotated[Path, typer.Argument(help="YAML file of a cell.")]) -> int:
     """Say what is wrong with a cell, or what it holds."""
-    from scanmotion.cell.plant import build_cell, check_room
+    from scanmotion.cell.build import build_cell, check_room
     from scanmotion.cli.inputs import cell_from
 
     cell = build_cell(cell_from(None, file))
@@ -60,7 +60,7 @@ def check_home(cell: Any) -> None:
     Raises:
         CellError: with the two solids.
     """
-    from scanmotion.cell.clearance import Clearance
+    from scanmotion.cell.collision.clearance import Clearance
 
     checker = Clearance(cell)
     distance, pair = checker.distance(cell.home)

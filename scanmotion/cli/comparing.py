@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from scanmotion.cli.app import OK, print_table, progress_bar, say_json
-from scanmotion.cli.inputs import (
+from scanmotion.cli.inputs import (  # fmt: skip
     OUT,
     CellFile,
     Json,
@@ -19,7 +19,7 @@ from scanmotion.cli.inputs import (
     check_suffix,
     part_and_source,
     write_text,
-)  # fmt: skip
+)
 
 
 def compare(
@@ -48,7 +48,7 @@ def compare(
     """Compare scanning methods on one part: completeness, accuracy, time (table 3 of the paper)."""
     check_suffix("--out", out, ".md", ".json")
     settings = cell_from(robot, cell)
-    from scanmotion import comparison
+    from scanmotion.planning import comparison
 
     asked = [name.strip() for text in variant or () for name in text.split(",")]
     asked = list(dict.fromkeys(asked)) if variant else list(comparison.VARIANTS)
@@ -70,7 +70,7 @@ def _write(out: Path, name: str, rows: tuple) -> None:
     """Both forms of the table, whichever of the two was named."""
     import json
 
-    from scanmotion.comparison import document, markdown
+    from scanmotion.planning.comparison import document, markdown
 
     write_text(out.with_suffix(".md"), markdown(rows))
     write_text(out.with_suffix(".json"), json.dumps(document(name, rows), indent=1, allow_nan=False) + "\n")

@@ -7,7 +7,7 @@ import typer
 
 from scanmotion.cli.app import OK, progress_bar
 from scanmotion.cli.inputs import OUT, Quiet, Units, check_file, check_suffix
-from scanmotion.errors import InputError
+from scanmotion.core.errors import InputError
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".stl", ".obj")
 
@@ -38,7 +38,7 @@ def fuse(
     known = read_poses(poses, files) if poses is not None else {}
     with progress_bar(quiet=quiet) as progress:
         measured = measured_scans(files, known, units, progress)
-        from scanmotion.scan.files import fuse_measured
+        from scanmotion.sensing.scan_files import fuse_measured
 
         fused = fuse_measured(measured, voxel=voxel * 1e-3, registered=align, progress=progress)
         if not len(fused.cloud.points):
@@ -110,8 +110,8 @@ def measured_scans(files: list[Path], poses: dict[str, Any], units: str, progres
     """
     import numpy as np
 
-    from scanmotion.part import UNITS, part_from_file
-    from scanmotion.scan.files import MeasuredScan
+    from scanmotion.geometry.parts import UNITS, part_from_file
+    from scanmotion.sensing.scan_files import MeasuredScan
 
     scans = []
     for number, file in enumerate(files):
@@ -146,8 +146,8 @@ def _seen_from(part: Any, points: Any) -> Any:
 
 def write_surface(path: Path, cloud: Any) -> str:
     """The surface through a cloud as binary PLY in mm; says how much it is."""
-    from scanmotion.scan.plyfile import write_ply
-    from scanmotion.scan.surface import surface
+    from scanmotion.geometry.ply import write_ply
+    from scanmotion.sensing.fusion.surface import surface
 
     vertices, triangles = surface(cloud)
     write_ply(path, vertices * 1e3, triangles=triangles)

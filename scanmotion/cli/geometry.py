@@ -25,7 +25,7 @@ from scanmotion.cli.inputs import (
     part_and_source,
     write_text,
 )
-from scanmotion.errors import InputError, PartError
+from scanmotion.core.errors import InputError, PartError
 
 
 def holes(
@@ -43,7 +43,7 @@ def holes(
     json: Json = False,
 ) -> int:
     """Find the holes of a scan: boundary, clusters, size, kind."""
-    from scanmotion.viewpoints.holes import hole_report_to_json
+    from scanmotion.sensing.holes.find import hole_report_to_json
 
     check_mode(mode)
     check_suffix("--out", out, ".json")
@@ -89,7 +89,7 @@ def dumps(document: Any) -> str:
 
 def scan_from(file: Path, units: str, up: str) -> Any:
     """A scan whose unit need not be known: holes are found relative to the spacing of its points."""
-    from scanmotion.part import part_from_file
+    from scanmotion.geometry.parts import part_from_file
 
     if units:
         return part_from_file(file, units=units, up=up)
@@ -106,7 +106,7 @@ def scan_from(file: Path, units: str, up: str) -> Any:
 
 def holes_of(part: Any, mode: str) -> Any:
     """The hole report of a mesh or a cloud."""
-    from scanmotion.viewpoints.holes import holes_from_cloud, holes_from_mesh
+    from scanmotion.sensing.holes.find import holes_from_cloud, holes_from_mesh
 
     if part.is_mesh:
         return holes_from_mesh(part.vertices, part.triangles, mode=mode)
@@ -115,7 +115,7 @@ def holes_of(part: Any, mode: str) -> Any:
 
 def draw_holes(part: Any, report: Any, path: Path) -> Path:
     """Writes the hole map as PNG."""
-    from scanmotion.figures.maps import hole_figure
+    from scanmotion.report.figures.maps import hole_figure
 
     hole_figure(part, report).savefig(path)
     return path
@@ -163,11 +163,11 @@ def choose_viewpoints(subject: Any, source: str, settings: Any, mode: str) -> tu
     """Viewpoints and (id, reason) of those left out, for a box or mesh (global) or a scan (local)."""
     standoff, scanner = settings.process.standoff_m, settings.scanner_model()
     if source == "scan":
-        from scanmotion.viewpoints.local import local_viewpoints
+        from scanmotion.views.hole_views import local_viewpoints
 
         report = holes_of(subject, mode)
         return tuple(local_viewpoints(report.holes, scanner, standoff=standoff, mode=mode)), ()
-    from scanmotion.viewpoints.stepped_rotary import stepped_rotary
+    from scanmotion.views.stepped_rotary import stepped_rotary
 
     step = stepped_rotary(
         *map(float, subject.extent),

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from scanmotion.errors import InputError
+from scanmotion.core.errors import InputError
 
 if TYPE_CHECKING:
-    from scanmotion.cell.config import CellSettings
-    from scanmotion.part import Part
+    from scanmotion.cell.settings import CellSettings
+    from scanmotion.core.part import Part
 
 PART, CELL, OUT = "What is scanned", "The cell", "Output"
 
@@ -74,7 +74,7 @@ def only_one(**given: object) -> str | None:
 
 def cell_from(robot: str | None, cell: Path | None) -> "CellSettings":
     """The settings that --robot or --cell name; the KR 240 where neither is given."""
-    from scanmotion.cell.config import load_cell
+    from scanmotion.cell.settings import load_cell
 
     only_one(robot=robot, cell=cell)
     if cell is not None:
@@ -90,7 +90,7 @@ def box_from(box: tuple[float, float, float]) -> "Part":
     Raises:
         InputError: a side is not a number between 1 mm and 100 m.
     """
-    from scanmotion.part import box_part
+    from scanmotion.geometry.parts import box_part
 
     if not all(1.0 <= side <= 1e5 for side in box):
         sides = " x ".join(f"{side:g}" for side in box)
@@ -108,7 +108,7 @@ def part_and_source(
     place: str = "",
 ) -> tuple["Part", str]:
     """The part and where it comes from: "mesh", "box" or "scan"; the built-in carving where none is given."""
-    from scanmotion.part import carving, part_from_file
+    from scanmotion.geometry.parts import carving, part_from_file
 
     given = only_one(part=part, box=box, scan=scan)
     strange = {"units": units != "mm", "up": up != "+z", "place": bool(place)}

@@ -7,7 +7,7 @@ import typer
 
 from scanmotion.cli.app import CHECK_FAILED, OK, print_table, progress_bar, say_json
 from scanmotion.cli.inputs import OUT, Json, Quiet, write_text
-from scanmotion.errors import InputError
+from scanmotion.core.errors import InputError
 
 Folder = Annotated[Path, typer.Argument(help="Folder that `scanmotion plan` wrote.")]
 
@@ -38,7 +38,7 @@ def show(
 ) -> int:
     """Write scene.html and report.html of a plan again and open the scene."""
     from scanmotion.cli.planning import pages
-    from scanmotion.loaded import load_plan
+    from scanmotion.plan_io.load import load_plan
 
     plan = load_plan(folder)
     if live:
@@ -56,7 +56,7 @@ def show(
 def _serve(plan: object, *, browser: bool) -> int:
     from threading import Event
 
-    from scanmotion.show import live_scene
+    from scanmotion.report.scene import live_scene
 
     scene = live_scene(plan)
     typer.echo(f"{scene.web_url()} (Ctrl-C ends)")

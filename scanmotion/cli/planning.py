@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from scanmotion.cli.app import CHECK_FAILED, OK, print_table, progress_bar, say_json
-from scanmotion.cli.inputs import (
+from scanmotion.cli.inputs import (  # fmt: skip
     CELL,
     OUT,
     Box,
@@ -26,8 +26,8 @@ from scanmotion.cli.inputs import (
     check_mode,
     check_out_folder,
     part_and_source,
-)  # fmt: skip
-from scanmotion.errors import InputError
+)
+from scanmotion.core.errors import InputError
 
 AGAIN = "Planning again"
 TWIN = "The scan twin"
@@ -158,7 +158,7 @@ def plan(
 
 def planned(subject: Any, settings: Any, progress: Any, **options: Any) -> Any:
     """A new plan."""
-    from scanmotion.pipeline import PlanOptions, plan
+    from scanmotion.planning.pipeline import PlanOptions, plan
 
     return plan(subject, settings, options=PlanOptions(**options), progress=progress)
 
@@ -167,8 +167,8 @@ def planned_again(
     keep: Any, done: str, failed: Sequence[str], budget: float | None, progress: Any, **options: Any
 ) -> Any:
     """What an earlier plan has not executed, planned anew behind what it has."""
-    from scanmotion.pipeline import PlanOptions
-    from scanmotion.replan import replan
+    from scanmotion.planning.pipeline import PlanOptions
+    from scanmotion.planning.replan import replan
 
     check_budget(budget)
     told = PlanOptions(**options)
@@ -190,8 +190,8 @@ def only_with_keep(keep: Path | None, done: str, failed: Sequence[str] | None, *
 
 def pages(made: Any, progress: Any) -> dict[str, str]:
     """The two HTML files that go with a plan."""
-    from scanmotion.report import report_html
-    from scanmotion.show import scene_html
+    from scanmotion.report.page import report_html
+    from scanmotion.report.scene import scene_html
 
     progress("scene", 0.0)
     scene = scene_html(made)

@@ -6,7 +6,7 @@ the trajectory: what is exported is what was judged. docs/exports.md describes e
 
 from pathlib import Path
 
-from scanmotion.errors import InputError
+from scanmotion.core.errors import InputError
 
 FORMATS = ("csv", "json", "viewpoints", "krl", "krl-timed", "ros", "mcap")
 

@@ -5,8 +5,8 @@ import io
 
 import numpy as np
 
+from scanmotion.core.trajectory import SCANNING
 from scanmotion.export.source import Source
-from scanmotion.trajectory import SCANNING
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 HEADER: tuple[str, ...] = (

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scanmotion.errors import InputError
+from scanmotion.core.errors import InputError
 from scanmotion.export.knots import polyline_knots, spline_knots
 from scanmotion.export.pose import Arm, abc_from_rotation
 from scanmotion.export.source import Stretch

@@ -6,7 +6,7 @@ import numpy as np
 from defusedxml import ElementTree
 from defusedxml.common import DefusedXmlException
 
-from scanmotion.errors import PlanFileError
+from scanmotion.core.errors import PlanFileError
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

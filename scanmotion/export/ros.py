@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from scanmotion.errors import InputError
+from scanmotion.core.errors import InputError
 from scanmotion.export.source import Source
 
 FRAME = "base_link"

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from scanmotion.errors import InputError, PlanFileError
-from scanmotion.planfile import PlanRecord, read_plan, read_trajectory
-from scanmotion.trajectory import Operation, Trajectory
+from scanmotion.core.errors import InputError, PlanFileError
+from scanmotion.core.trajectory import Operation, Trajectory
+from scanmotion.plan_io.schema import PlanRecord, read_plan, read_trajectory
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,39}")

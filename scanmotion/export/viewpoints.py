@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from scanmotion.errors import InputError
+from scanmotion.core.errors import InputError
+from scanmotion.core.viewpoint import Slack, Viewpoint
 from scanmotion.export.source import Source, checked_id, checked_line, write_files
-from scanmotion.planfile import ViewpointRecord
-from scanmotion.viewpoints.viewpoint import Slack, Viewpoint
+from scanmotion.plan_io.schema import ViewpointRecord
 
 HEADER: tuple[str, ...] = (
     "id", "step", "kind", "sweep", "standoff_mm", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz",

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from scanmotion.core.finding import Finding
+from scanmotion.core.trajectory import Trajectory
 from scanmotion.judge.contact import check_clearance
-from scanmotion.judge.finding import Finding
 from scanmotion.judge.helix import check_helices
 from scanmotion.judge.limits import check_limits, check_record, check_settings, check_speed
 from scanmotion.judge.motion import motion_from
 from scanmotion.judge.views import check_operations, check_viewpoints
-from scanmotion.planfile import read_json, read_plan, read_trajectory
-from scanmotion.trajectory import Trajectory
+from scanmotion.plan_io.schema import read_json, read_plan, read_trajectory
 
 __all__ = ["Finding", "verify"]
 

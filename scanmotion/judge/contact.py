@@ -12,11 +12,11 @@ from pathlib import Path
 import fcl
 import numpy as np
 
-from scanmotion.judge.finding import Finding
+from scanmotion.core.finding import Finding
+from scanmotion.core.trajectory import Trajectory
 from scanmotion.judge.motion import Motion, UrdfArm, motion_at
 from scanmotion.judge.solids import PART, STILL, Solid, pairs_of, solids_of
-from scanmotion.planfile import PlanRecord
-from scanmotion.trajectory import Trajectory
+from scanmotion.plan_io.schema import PlanRecord
 
 STEP_M = 0.004
 """Between two checked configurations no two points of robot and part move farther relative to one another."""

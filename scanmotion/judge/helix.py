@@ -4,11 +4,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from scanmotion.judge.finding import Finding
+from scanmotion.core.finding import Finding
+from scanmotion.core.trajectory import Trajectory
 from scanmotion.judge.motion import Motion
 from scanmotion.judge.views import nearest
-from scanmotion.planfile import OperationRecord, PlanRecord
-from scanmotion.trajectory import Trajectory
+from scanmotion.plan_io.schema import OperationRecord, PlanRecord
 
 BESIDE_M = 2e-3
 """How far the scanner may pass beside the straight line between two places."""

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from scanmotion.judge.finding import Finding
+from scanmotion.core.finding import Finding
+from scanmotion.core.trajectory import Trajectory
 from scanmotion.judge.motion import Motion
-from scanmotion.planfile import PlanRecord
-from scanmotion.trajectory import Trajectory
+from scanmotion.plan_io.schema import PlanRecord
 
 _ROUNDING = np.deg2rad(0.5e-8)
 """Half of the last decimal that trajectory.csv carries [rad]."""

@@ -9,9 +9,9 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from scanmotion.errors import PlanFileError
-from scanmotion.planfile import PlanRecord, read_text
-from scanmotion.trajectory import Trajectory
+from scanmotion.core.errors import PlanFileError
+from scanmotion.core.trajectory import Trajectory
+from scanmotion.plan_io.schema import PlanRecord, read_text
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

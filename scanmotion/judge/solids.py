@@ -7,10 +7,10 @@ from typing import Any
 import fcl
 import numpy as np
 
-from scanmotion.errors import PartError, PlanFileError
+from scanmotion.core.errors import PartError, PlanFileError
+from scanmotion.geometry.part_files import read_geometry
 from scanmotion.judge.motion import Motion, UrdfArm
-from scanmotion.partfile import read_geometry
-from scanmotion.planfile import PlanRecord, inside
+from scanmotion.plan_io.schema import PlanRecord, inside
 
 TOOL, STILL, PART = 7, -1, -2
 """Groups beside the links 0..6."""

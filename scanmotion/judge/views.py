@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from scanmotion.judge.finding import Finding
+from scanmotion.core.finding import Finding
+from scanmotion.core.trajectory import Trajectory
 from scanmotion.judge.motion import Motion, exponentials
-from scanmotion.planfile import OperationRecord, PlanRecord, ViewpointRecord
-from scanmotion.trajectory import Trajectory
+from scanmotion.plan_io.schema import OperationRecord, PlanRecord, ViewpointRecord
 
 _POSITION_M, _ANGLE = 1e-3, np.deg2rad(0.2)
 

@@ -1,0 +1,220 @@
+"""The cell: arm, V-fixture, scanner, turntable, part and obstacles, in numpy and as a Drake plant."""
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scanmotion.cell.kinematics import branches
+from scanmotion.cell.model import TABLE as TABLE
+from scanmotion.cell.model import TOOL as TOOL
+from scanmotion.cell.model import WORLD as WORLD
+from scanmotion.cell.model import Cell as Cell
+from scanmotion.cell.robot import Body, Robot, robot_from_urdf
+from scanmotion.cell.settings import CellSettings, pose
+from scanmotion.core.errors import CellError
+from scanmotion.core.part import Part
+from scanmotion.geometry.parts import models_dir
+
+FLOOR_M = 8.0
+
+
+def robot_path(settings: CellSettings) -> Path:
+    """The URDF that the settings name: a built-in robot, or a file beside the cell's YAML."""
+    builtin = models_dir() / "robots" / f"{settings.robot.model}.urdf"
+    if settings.robot.model.replace("-", "").isalnum() and builtin.is_file():
+        return builtin
+    path = Path(settings.folder) / settings.robot.model
+    if path.suffix != ".urdf" or not path.is_file():
+        known = sorted(p.stem for p in (models_dir() / "robots").glob("*.urdf"))
+        raise CellError(
+            f"{settings.robot.model!r}: no such robot; known: {known}, or a .urdf", key="robot.model"
+        )
+    return path
+
+
+@functools.cache
+def robot_facts() -> dict[str, dict[str, Any]]:
+    """Acceleration presets, reach, payload and source of the built-in robots (models/robots/robots.yaml)."""
+    import yaml
+
+    return yaml.safe_load((models_dir() / "robots" / "robots.yaml").read_text(encoding="utf-8"))
+
+
+def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
+    """Puts the cell together.
+
+    Args:
+        settings: from `load_cell`.
+        part: what stands on the table; None for an empty table.
+
+    Raises:
+        CellError: the robot's model cannot be read, or home is outside the limits.
+    """
+    robot = robot_from_urdf(robot_path(settings), settings.robot.joints, settings.robot.flange)
+    table = settings.turntable
+    X_WB = pose(settings.base.position_m, np.deg2rad(settings.base.yaw_deg))
+    X_WT = pose((*table.position_m, table.height_m))
+    limits = _limits(settings, robot)
+    frame: dict[str, Any] = dict(
+        settings=settings, part=part, robot=robot, X_WB=X_WB, X_FS=tool_pose(settings), X_WT=X_WT,
+        X_TO=pose((0.0, 0.0, settings.pedestal.height_m)), joint_names=(*settings.robot.joints, "E1"),
+        bodies=(*robot.bodies, *_tool_bodies(settings), *_still_bodies(settings)), **limits,
+    )  # fmt: skip
+    home = _home(Cell(**frame, home=np.zeros(7)))
+    for values in (*limits.values(), X_WB, X_WT, frame["X_FS"], frame["X_TO"], home):
+        values.setflags(write=False)
+    return Cell(**frame, home=home)
+
+
+def check_room(cell: Cell) -> None:
+    """Refuses an obstacle in which the table turns, or what stands on it.
+
+    What turns is taken as round: the table's top, and the circle that the part's farthest point draws.
+
+    Raises:
+        CellError: with the obstacle.
+    """
+    table, p_WT = cell.settings.turntable, cell.X_WT[:3, 3]
+    turning = [("the turntable", table.diameter_m / 2, p_WT[2] - table.thickness_m, p_WT[2])]
+    if cell.part is not None:
+        p_TO = cell.part.vertices @ cell.X_TO[:3, :3].T + cell.X_TO[:3, 3]
+        radius, z = float(np.hypot(p_TO[:, 0], p_TO[:, 1]).max()), p_TO[:, 2] + p_WT[2]
+        turning.append(("the part as it turns", radius, float(z.min()), float(z.max())))
+    for number, obstacle in enumerate(cell.settings.obstacles):
+        X = pose(obstacle.centre_m, np.deg2rad(obstacle.yaw_deg))
+        half = np.array(obstacle.size_m) / 2
+        axis = np.abs(X[:3, :3].T @ (p_WT - X[:3, 3]))
+        away = float(np.hypot(*np.maximum(axis[:2] - half[:2], 0.0)))
+        for what, radius, low, high in turning:
+            height = min(high, X[2, 3] + half[2]) - max(low, X[2, 3] - half[2])
+            if away < radius - 1e-6 and height > 1e-6:
+                raise CellError(
+                    f"{obstacle.name} stands in {what}: {away * 1e3:.0f} mm from the axis, "
+                    f"{radius * 1e3:.0f} mm are swept",
+                    key=f"obstacles.{number}",
+                )
+
+
+def tool_pose(settings: CellSettings) -> np.ndarray:
+    """X_FS: the V-fixture carries the scanner `arm_m` before the flange, its axis tilted about flange y.
+
+    The scanner's long side lies in the plane of the tilt, so that it stands upright when the arm reaches
+    from above.
+    """
+    tool = settings.tool
+    t, r = np.deg2rad(tool.tilt_deg), np.deg2rad(tool.roll_deg)
+    X_FS = np.eye(4)
+    tilt = np.array([[np.cos(t), 0, np.sin(t)], [0, 1, 0], [-np.sin(t), 0, np.cos(t)]])
+    roll = np.array([[np.cos(r), -np.sin(r), 0], [np.sin(r), np.cos(r), 0], [0, 0, 1]])
+    X_FS[:3, :3] = tilt @ roll
+    X_FS[:3, 3] = (tool.offset_m, 0.0, tool.arm_m)
+    return X_FS
+
+
+def _limits(settings: CellSettings, robot: Robot) -> dict[str, np.ndarray]:
+    table = settings.turntable
+    low, high = (-np.inf, np.inf) if table.endless else np.deg2rad(table.range_deg)
+    preset = settings.robot.acceleration
+    if isinstance(preset, str):
+        facts = robot_facts().get(settings.robot.model)
+        if facts is None:
+            raise CellError("a robot of your own needs six values, rad/s2", key="robot.acceleration")
+        preset = facts["acceleration_rad_s2"][preset]
+    a = np.array([*preset, table.acceleration_rad_s2], dtype=float)
+    return dict(
+        q_min=np.append(robot.lower, low),
+        q_max=np.append(robot.upper, high),
+        v_max=np.append(robot.velocity * settings.robot.velocity_scale, table.speed_rpm * 2 * np.pi / 60),
+        a_max=a,
+        j_max=a / np.array([settings.robot.jerk_time_s] * 6 + [table.jerk_time_s]),
+    )
+
+
+def _tool_bodies(settings: CellSettings) -> list[Body]:
+    """V-fixture (a plate and two arms) and scanner housing, in the flange's frame."""
+    tool, X_FS = settings.tool, tool_pose(settings)
+    size = tool.scanner_size_m
+    X_FG = X_FS.copy()
+    # The optical centre sits on the housing's front, in the middle between camera and projector's windows.
+    X_FG[:3, 3] = X_FS[:3, :3] @ np.array([settings.scanner.baseline_m / 2, 0.0, -size[2] / 2]) + X_FS[:3, 3]
+    bodies = [
+        Body(name="scanner", link=TOOL, shape="box", size=size, X_LG=X_FG),
+        Body(name="fixture_plate", link=TOOL, shape="cylinder", size=(0.08, 0.02), X_LG=pose((0, 0, 0.01))),
+    ]
+    end = X_FG[:3, 3] - X_FG[:3, 2] * size[2] / 2
+    for side in (-1.0, 1.0):
+        a, b = np.array([0.0, side * 0.06, 0.02]), end + np.array([0.0, side * 0.055, 0.0])
+        z = (b - a) / np.linalg.norm(b - a)
+        x = np.cross([0.0, 1.0, 0.0], z)
+        x /= np.linalg.norm(x)
+        X = np.eye(4)
+        X[:3, :3], X[:3, 3] = np.column_stack([x, np.cross(z, x), z]), (a + b) / 2
+        box = (0.03, 0.012, float(np.linalg.norm(b - a)))
+        bodies.append(
+            Body(name=f"fixture_arm_{'a' if side < 0 else 'b'}", link=TOOL, shape="box", size=box, X_LG=X)
+        )
+    return bodies
+
+
+def _still_bodies(settings: CellSettings) -> list[Body]:
+    """Table and pedestal in frame T (both round, so that their turning does not matter), the rest in W."""
+    table, pedestal = settings.turntable, settings.pedestal
+    bodies = [
+        Body(
+            name="table", link=TABLE, shape="cylinder", size=(table.diameter_m / 2, table.thickness_m),
+            X_LG=pose((0, 0, -table.thickness_m / 2)),
+        ),
+        Body(
+            name="table_column", link=TABLE, shape="cylinder",
+            size=(min(0.25, table.diameter_m / 4), max(table.height_m - table.thickness_m, 0.01)),
+            X_LG=pose((0, 0, -table.thickness_m - max(table.height_m - table.thickness_m, 0.01) / 2)),
+        ),
+        Body(
+            name="floor", link=WORLD, shape="box", size=(2 * FLOOR_M, 2 * FLOOR_M, 0.2),
+            X_LG=pose((0.0, 0.0, -0.1)),
+        ),
+    ]  # fmt: skip
+    if pedestal.height_m > 0:
+        size = (pedestal.diameter_m / 2, pedestal.height_m)
+        X = pose((0, 0, pedestal.height_m / 2))
+        bodies.append(Body(name="pedestal", link=TABLE, shape="cylinder", size=size, X_LG=X))
+    for obstacle in settings.obstacles:
+        X = pose(obstacle.centre_m, np.deg2rad(obstacle.yaw_deg))
+        bodies.append(Body(name=obstacle.name, link=WORLD, shape="box", size=obstacle.size_m, X_LG=X))
+    return bodies
+
+
+def _home(cell: Cell) -> np.ndarray:
+    """The settings' home, or a rest with the scanner before the table, looking at its axis.
+
+    At 0.1 m/s a metre to the first viewpoint costs ten seconds: the default home stands 1 m off the axis.
+    """
+    if cell.settings.robot.home_deg is not None:
+        home = np.append(np.deg2rad(cell.settings.robot.home_deg), 0.0)
+        outside = [
+            n
+            for n, q, a, b in zip(cell.joint_names, home, cell.q_min, cell.q_max, strict=True)
+            if not a <= q <= b
+        ]
+        if outside:
+            raise CellError(f"{outside[0]} is outside its range", key="robot.home_deg")
+        return home
+    toward = cell.X_WB[:3, 3] - cell.X_WT[:3, 3]
+    toward[2] = 0.0
+    toward /= max(np.linalg.norm(toward), 1e-9)
+    for height in (0.35, 0.5, 0.7, 0.2, 1.0):
+        for distance in (1.0, 0.9, 1.2, 0.8):
+            z = -toward
+            X = np.eye(4)
+            # Long side upright, as the global viewpoints want it.
+            X[:3, :3] = np.column_stack([[0, 0, 1.0], np.cross(z, [0, 0, 1.0]), z])
+            X[:3, 3] = cell.X_WT[:3, 3] + toward * distance + [0, 0, height]
+            flipped = X.copy()
+            flipped[:3, :2] *= -1
+            found = branches(cell, np.stack([X, flipped]), windings=False)
+            if len(found.q):
+                comfort = np.abs(found.q[:, [0, 3, 5]]).sum(axis=1) + (found.manipulability < 0.05) * 10
+                return np.append(found.q[int(np.argmin(comfort))], 0.0)
+    raise CellError("no rest before the table is in reach; set robot.home_deg", key="robot.home_deg")

@@ -1,0 +1,249 @@
+"""The cell as a Drake MultibodyPlant, put together by model directives, with its collision checker."""
+
+import logging
+import tempfile
+from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
+from xml.etree.ElementTree import SubElement, tostring
+
+import numpy as np
+from defusedxml.ElementTree import fromstring
+from pydrake.common import Parallelism
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelDirectives
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
+
+from scanmotion.cell.collision.sphere_filter import IGNORED_PAIRS
+from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
+from scanmotion.cell.robot import Body
+
+# Drake tells of every port it opens and every context it allocates; warnings still come through. Who wants
+# to hear more sets the level after this import.
+logging.getLogger("drake").setLevel(logging.WARNING)
+
+_COLOURS = {"scanner": "0.15 0.16 0.18 1", "table": "0.72 0.73 0.75 1", "floor": "0.93 0.93 0.92 1"}
+_GREY = "0.45 0.46 0.48 1"
+
+
+def _urdf_of(name: str, bodies: list[Body], *, mass: float, collide: bool) -> str:
+    """One rigid link that carries `bodies`, as URDF text."""
+    inertia = " ".join(f'{k}="{0.01 * mass if k in ("ixx", "iyy", "izz") else 0}"' for k in _INERTIA)
+    out = [f'<robot name="{name}"><link name="{name}">']
+    out += [f'<inertial><mass value="{mass}"/><inertia {inertia}/></inertial>']
+    for body in bodies:
+        rpy = _roll_pitch_yaw(body.X_LG)
+        origin = f'<origin xyz="{_text(body.X_LG[:3, 3])}" rpy="{_text(rpy)}"/>'
+        if body.shape == "box":
+            shape = f'<geometry><box size="{_text(body.size)}"/></geometry>'
+        else:
+            shape = f'<geometry><cylinder radius="{body.size[0]!r}" length="{body.size[1]!r}"/></geometry>'
+        colour = _COLOURS.get(body.name, _GREY)
+        paint = f'<material name="{body.name}"><color rgba="{colour}"/></material>'
+        out.append(f"<visual>{origin}{shape}{paint}</visual>")
+        if collide:
+            out.append(f'<collision name="{body.name}">{origin}{shape}</collision>')
+    return "".join([*out, "</link></robot>"])
+
+
+_INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+
+
+def _roll_pitch_yaw(X: Any) -> Any:
+    return RollPitchYaw(RigidTransform(X).rotation()).vector()
+
+
+def _text(values: Any) -> str:
+    return " ".join(f"{float(v):.12g}" for v in values)
+
+
+def _pose_yaml(X: np.ndarray) -> str:
+    rpy = np.rad2deg(_roll_pitch_yaw(X))
+    numbers = ", ".join(f"{v:.12g}" for v in X[:3, 3]), ", ".join(f"{v:.12g}" for v in rpy)
+    return f"{{translation: [{numbers[0]}], rotation: !Rpy {{deg: [{numbers[1]}]}}}}"
+
+
+def write_models(cell: Cell, folder: Path) -> Path:
+    """Writes tool, turntable and surroundings as URDF and the directives that weld them; returns the latter.
+
+    The table's solids stand in the world, where their turning does not matter; what turns with E1 carries
+    the part.
+    """
+    of = {k: [b for b in cell.bodies if b.link == k] for k in (TOOL, TABLE, WORLD)}
+    mass = cell.settings.tool.mass_kg
+    (folder / "tool.urdf").write_text(_urdf_of("tool", of[TOOL], mass=mass, collide=True))
+    (folder / "stand.urdf").write_text(_urdf_of("stand", of[TABLE], mass=1.0, collide=True))
+    # The floor is a body of its own: base and link 1 are judged against obstacles, but not against it.
+    for name, solids in (
+        ("floor", [b for b in of[WORLD] if b.name == "floor"]),
+        ("surroundings", [b for b in of[WORLD] if b.name != "floor"]),
+    ):
+        (folder / f"{name}.urdf").write_text(_urdf_of(name, solids, mass=1.0, collide=True))
+    joint = (
+        '<robot name="turntable"><link name="turntable_base"/><link name="turntable">'
+        '<inertial><mass value="100"/>'
+        '<inertia ixx="30" iyy="30" izz="30" ixy="0" ixz="0" iyz="0"/></inertial>'
+        '</link><joint name="E1" type="continuous"><parent link="turntable_base"/><child link="turntable"/>'
+        '<axis xyz="0 0 1"/></joint></robot>'
+    )
+    (folder / "turntable.urdf").write_text(joint)
+    (folder / "arm.urdf").write_text(_drawable(cell.urdf_path.resolve()), encoding="utf-8")
+    lines = ["directives:"]
+    for name, file in (
+        ("arm", (folder / "arm.urdf").as_uri()),
+        ("tool", (folder / "tool.urdf").as_uri()),
+        ("turntable", (folder / "turntable.urdf").as_uri()),
+        ("stand", (folder / "stand.urdf").as_uri()),
+        ("floor", (folder / "floor.urdf").as_uri()),
+        ("surroundings", (folder / "surroundings.urdf").as_uri()),
+    ):
+        lines.append(f"- add_model: {{name: {name}, file: '{file}'}}")
+    base = _base_link(cell)
+    for parent, child, X in (
+        ("world", f"arm::{base}", cell.X_WB),
+        (f"arm::{cell.settings.robot.flange}", "tool::tool", np.eye(4)),
+        ("world", "turntable::turntable_base", cell.X_WT),
+        ("world", "stand::stand", cell.X_WT),
+        ("world", "floor::floor", np.eye(4)),
+        ("world", "surroundings::surroundings", np.eye(4)),
+    ):
+        lines.append(f"- add_weld: {{parent: '{parent}', child: '{child}', X_PC: {_pose_yaml(X)}}}")
+    path = folder / "cell.dmd.yaml"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def _drawable(urdf: Path) -> str:
+    """The robot's URDF with pictures that Drake can find; a link without any is drawn as its solids.
+
+    Robots of one's own often name meshes of a ROS package, or of a folder that is not here.
+    """
+    root = fromstring(urdf.read_text(encoding="utf-8"))
+    for link in root.iter("link"):
+        for visual in link.findall("visual"):
+            mesh = visual.find("geometry/mesh")
+            if mesh is None:
+                continue
+            file = urdf.parent / mesh.get("filename", "").removeprefix("file://")
+            if file.suffix.lower() in (".obj", ".gltf", ".glb") and file.is_file():
+                mesh.set("filename", file.resolve().as_uri())
+            else:
+                link.remove(visual)
+        if link.find("visual") is None:
+            for solid in link.findall("collision"):
+                visual = SubElement(link, "visual")
+                visual.extend(element for element in solid if element.tag in ("origin", "geometry"))
+    return tostring(root, encoding="unicode")
+
+
+def _base_link(cell: Cell) -> str:
+    root = fromstring(cell.urdf_path.read_text(encoding="utf-8"))
+    children = {link.get("link") for link in root.iterfind("joint/child")}
+    parents = [link.get("link", "") for link in root.iterfind("joint/parent")]
+    return next(p for p in parents if p not in children)
+
+
+def add_cell(plant: MultibodyPlant, cell: Cell) -> dict[str, Any]:
+    """Parses the cell into `plant` (not finalized); returns model instances by name."""
+    with tempfile.TemporaryDirectory() as folder:
+        path: Any = str(write_models(cell, Path(folder)))
+        added = ProcessModelDirectives(LoadModelDirectives(path), plant, Parser(plant))
+    return {info.model_name: info.model_instance for info in added}
+
+
+class DrakeCell:
+    """Plant and collision checker of a cell; the part's true triangles are judged elsewhere.
+
+    Drake takes a mesh as its convex hull in every proximity query, so the part is not among the solids here.
+    One instance belongs to one thread.
+    """
+
+    def __init__(self, cell: Cell) -> None:
+        builder = RobotDiagramBuilder(time_step=0.0)
+        instances = add_cell(builder.plant(), cell)
+        builder.plant().Finalize()
+        process = cell.settings.process
+        options: dict[str, Any] = dict(
+            model=builder.Build(),
+            robot_model_instances=[instances["arm"], instances["tool"]],
+            edge_step_size=0.05,
+            env_collision_padding=process.clearance_m,
+            self_collision_padding=process.self_clearance_m,
+        )
+        self.checker = SceneGraphCollisionChecker(**options)
+        self.plant = self.checker.plant()
+        self._asked = (process.self_clearance_m, process.clearance_m)
+        self._order = self._joint_order(cell)
+        self.groups = self._groups(cell)
+        self._filter(cell)
+
+    def _joint_order(self, cell: Cell) -> np.ndarray:
+        """Index of each of A1..A6, E1 in the plant's position vector."""
+        names = [*cell.settings.robot.joints, "E1"]
+        return np.array([self.plant.GetJointByName(n).position_start() for n in names])
+
+    def _groups(self, cell: Cell) -> dict[str, int]:
+        """Value of Body.link for the name of each of the plant's bodies."""
+        joints = [self.plant.GetJointByName(n) for n in cell.settings.robot.joints]
+        links = [joints[0].parent_body(), *(j.child_body() for j in joints)]
+        return {b.name(): n for n, b in enumerate(links)} | {
+            "tool": TOOL,
+            "stand": TABLE,
+            "surroundings": WORLD,
+        }
+
+    def _filter(self, cell: Cell) -> None:
+        """Links that touch by construction are not judged against one another."""
+        joints = [self.plant.GetJointByName(n) for n in cell.settings.robot.joints]
+        bodies = [
+            joints[0].parent_body(),
+            *(j.child_body() for j in joints),
+            self.plant.GetBodyByName("tool"),
+        ]
+        for a, b in sorted(IGNORED_PAIRS):
+            self.checker.SetCollisionFilteredBetween(bodies[a], bodies[b], True)
+        floor = self.plant.GetBodyByName("floor")
+        for body in bodies[:2]:
+            self.checker.SetCollisionFilteredBetween(body, floor, True)
+
+    def positions(self, q: np.ndarray) -> np.ndarray:
+        """The plant's positions for configurations (n, 7)."""
+        out = np.zeros((len(q), self.plant.num_positions()))
+        out[:, self._order] = q
+        return out
+
+    def free(self, q: np.ndarray) -> np.ndarray:
+        """Whether arm and tool keep their clearances to everything but the part, shape (n,)."""
+        if len(q) == 0:
+            return np.zeros(0, bool)
+        # Waking threads costs more than a few hundred checks.
+        threads = Parallelism(1) if len(q) < 500 else Parallelism.Max()
+        rows = list(self.positions(q))
+        return np.array(self.checker.CheckConfigsCollisionFree(rows, parallelize=threads), dtype=bool)
+
+    def nearest(self, q: np.ndarray) -> tuple[float, float, tuple[str, str]]:
+        """The pair that keeps its clearance worst in one configuration (7,); the part is not among them.
+
+        Returns:
+            by how much more than asked for the two are apart [m], their distance [m], and their names.
+        """
+        found = self.checker.CalcRobotClearance(self.positions(q[None])[0], 1.0)
+        if found.size() == 0:
+            return 1.0, 1.0, ("", "")
+        i = int(np.argmin(found.distances()))
+        of = (self.plant.get_body(k[i]).name() for k in (found.robot_indices(), found.other_indices()))
+        a, b = of
+        # Drake counts distances from the padding on.
+        excess = float(found.distances()[i])
+        return excess, excess + self._asked[self.groups.get(b, 9) > 7], (a, b)
+
+
+_PLANTS: WeakKeyDictionary[Cell, DrakeCell] = WeakKeyDictionary()
+
+
+def drake_of(cell: Cell) -> DrakeCell:
+    """The same cell as a MultibodyPlant with its collision checker, made when first asked for."""
+    if cell not in _PLANTS:
+        _PLANTS[cell] = DrakeCell(cell)
+    return _PLANTS[cell]

@@ -1,0 +1,148 @@
+"""The cell as a plant for Drake's InverseKinematics: every solid, the part among them as its hull."""
+
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from pydrake.geometry import (
+    CollisionFilterDeclaration,
+    Convex,
+    GeometrySet,
+    ProximityProperties,
+    SceneGraph,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.inverse_kinematics import InverseKinematics
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.tree import FixedOffsetFrame
+from pydrake.solvers import SnoptSolver, SolverOptions
+from pydrake.systems.framework import DiagramBuilder
+from scipy.spatial.transform import Rotation
+
+from scanmotion.cell.collision.sphere_filter import IGNORED_PAIRS
+from scanmotion.cell.drake_scene import add_cell
+
+if TYPE_CHECKING:
+    from scanmotion.cell.model import Cell
+
+_AIM_M = 2e-5
+_AIM_RAD = 1e-4
+"""How exactly the aimed point and, without slack, the direction are kept."""
+
+
+class SlackPlant:
+    """Plant, context and frames in which a configuration of arm and table is sought by InverseKinematics.
+
+    Drake's proximity takes a mesh as its convex hull: with the hull what is found is free of the part, but
+    what has to reach into a notch is not found; without the part the caller has to check what comes out.
+    One instance belongs to one thread.
+
+    Args:
+        cell: the cell.
+        part: "hull" puts the convex hull of the part on the table, "none" leaves it out.
+    """
+
+    def __init__(self, cell: "Cell", *, part: Literal["hull", "none"]) -> None:
+        builder = DiagramBuilder()
+        self.plant, scene = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+        add_cell(self.plant, cell)
+        X_FS: Any = cell.X_FS
+        X_TO: Any = cell.X_TO
+        flange = self.plant.GetFrameByName(cell.settings.robot.flange)
+        table = self.plant.GetFrameByName("turntable")
+        self.frame_S = self.plant.AddFrame(FixedOffsetFrame("S", flange, RigidTransform(X_FS)))
+        self.frame_O = self.plant.AddFrame(FixedOffsetFrame("O", table, RigidTransform(X_TO)))
+        if part == "hull" and cell.part is not None:
+            _add_hull(self.plant, cell)
+        self.plant.Finalize()
+        _filter(self.plant, scene, cell)
+        self._diagram = builder.Build()
+        self._root = self._diagram.CreateDefaultContext()
+        self.context = self.plant.GetMyMutableContextFromRoot(self._root)
+        names = [*cell.settings.robot.joints, "E1"]
+        self._order = np.array([self.plant.GetJointByName(n).position_start() for n in names])
+
+    def positions(self, q: np.ndarray) -> np.ndarray:
+        """The plant's positions for a configuration (7,) of A1..A6, E1 [rad]."""
+        out = np.zeros(self.plant.num_positions())
+        out[self._order] = q
+        return out
+
+    def configuration(self, positions: np.ndarray) -> np.ndarray:
+        """A1..A6, E1 of the plant's positions, shape (7,) [rad]."""
+        return np.asarray(positions)[self._order]
+
+    def solve(
+        self,
+        X_OS: np.ndarray,
+        distances: tuple[float, float, float],
+        tilt: float,
+        roll: bool,
+        seed: np.ndarray,
+        distance: float,
+    ) -> np.ndarray | None:
+        """A configuration near `seed` whose scanner looks at the aimed point within the slack, or None.
+
+        Args:
+            X_OS: the pose asked for, shape (4, 4).
+            distances: of the aimed point from X_OS, and the least and greatest allowed, along the axis [m].
+            tilt: greatest angle to X_OS [rad]; of the axis alone where `roll` is free.
+            roll: whether the scanner may turn about its axis.
+            seed: where the search starts, shape (7,) [rad].
+            distance: least distance of all pairs that are judged [m].
+        """
+        # The stubs of pydrake know no arrays.
+        ik: Any = InverseKinematics(self.plant, self.context, True)
+        solver: Any = SnoptSolver()
+        standoff, near, far = distances
+        aim = X_OS[:3, 3] + standoff * X_OS[:3, 2]
+        beside = np.array([_AIM_M, _AIM_M, 0.0])
+        ik.AddPositionConstraint(
+            self.frame_O, aim, self.frame_S, np.array([0, 0, near]) - beside, np.array([0, 0, far]) + beside
+        )
+        z, most = np.array([0.0, 0.0, 1.0]), max(tilt, _AIM_RAD)
+        if roll:
+            ik.AddAngleBetweenVectorsConstraint(self.frame_O, X_OS[:3, 2], self.frame_S, z, 0.0, most)
+        else:
+            R: Any = Rotation.from_matrix(X_OS[:3, :3]).as_matrix()
+            ik.AddOrientationConstraint(self.frame_O, RotationMatrix(R), self.frame_S, RotationMatrix(), most)
+        ik.AddMinimumDistanceLowerBoundConstraint(distance, 0.05)
+        start = self.positions(seed)
+        prog = ik.prog()
+        prog.AddQuadraticErrorCost(np.eye(len(start)), start, ik.q())
+        options = SolverOptions()
+        options.SetOption(solver.solver_id(), "Major iterations limit", 60)
+        result = solver.Solve(prog, start, options)
+        return self.configuration(result.GetSolution(ik.q())) if result.is_success() else None
+
+    @property
+    def order(self) -> np.ndarray:
+        """Index of each of A1..A6, E1 in the plant's position vector."""
+        return self._order
+
+
+def _add_hull(plant: MultibodyPlant, cell: "Cell") -> None:
+    """Welds the convex hull of the part's vertices to the table."""
+    from scipy.spatial import ConvexHull
+
+    assert cell.part is not None
+    points = cell.part.vertices
+    corners = points[ConvexHull(points).vertices]
+    # The stubs of pydrake know no arrays.
+    X: Any = cell.X_TO
+    convex: Any = Convex
+    body, shape = plant.GetBodyByName("turntable"), convex(corners.T, "part")
+    plant.RegisterCollisionGeometry(body, RigidTransform(X), shape, "part", ProximityProperties())
+
+
+def _filter(plant: MultibodyPlant, scene: SceneGraph, cell: "Cell") -> None:
+    """Leaves out the pairs that touch by construction, and what does not belong to the robot."""
+    joints = [plant.GetJointByName(n) for n in cell.settings.robot.joints]
+    bodies = [joints[0].parent_body(), *(j.child_body() for j in joints), plant.GetBodyByName("tool")]
+    floor = plant.GetBodyByName("floor")
+    still = [floor, bodies[0], *(plant.GetBodyByName(n) for n in ("surroundings", "stand", "turntable"))]
+    pairs = [(bodies[a], bodies[b]) for a, b in sorted(IGNORED_PAIRS)] + [(bodies[1], floor)]
+    pairs += [(a, b) for n, a in enumerate(still) for b in still[n + 1 :]]
+    manager = scene.collision_filter_manager()
+    for a, b in pairs:
+        of = [GeometrySet(plant.GetCollisionGeometriesForBody(body)) for body in (a, b)]
+        manager.Apply(CollisionFilterDeclaration().ExcludeBetween(of[0], of[1]))

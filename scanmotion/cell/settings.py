@@ -1,0 +1,361 @@
+"""The cell's YAML: strict, frozen settings whose keys carry their units."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from scanmotion.core.errors import CellError
+from scanmotion.core.scanner import Scanner
+from scanmotion.geometry.parts import models_dir
+
+
+def _number(value: Any) -> Any:
+    """Refuses what YAML lets through as a number's stand-in: true, "0.7 m", nan."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"a number is expected, not {str(value)[:40]!r}")
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is not finite")
+    return float(value)
+
+
+Number = Annotated[float, BeforeValidator(_number)]
+Offset = Annotated[Number, Field(ge=-5.0, le=5.0)]
+"""Error of a place [mm]."""
+Turn = Annotated[Number, Field(ge=-2.0, le=2.0)]
+"""Error of an orientation [deg]."""
+Side = Annotated[Number, Field(gt=0.0, le=100.0)]
+"""Side of a box [m]."""
+
+
+OWN_NAMES = ("floor", "table", "table_column", "pedestal", "part", "scanner", "fixture_plate")
+"""Names of solids that every cell has."""
+
+
+class _Settings(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def _length(low: float, high: float, default: float, meaning: str) -> Any:
+    return Field(default=default, ge=low, le=high, description=meaning, json_schema_extra={"unit": "m"})
+
+
+class RobotSettings(_Settings):
+    """The arm: which model, how hard it may accelerate, where it rests."""
+
+    model: str = Field("kr240", description="built-in name, or path of a URDF beside the cell's YAML")
+    joints: tuple[str, ...] = Field(
+        ("A1", "A2", "A3", "A4", "A5", "A6"), description="the six joints, base to flange"
+    )
+    flange: str = Field("tool0", description="link whose frame is the flange (z outward)")
+    acceleration: Literal["rated", "light"] | tuple[Number, ...] = Field(
+        "light", description="preset, or six values in rad/s2; light is an estimate for tools up to 10 kg"
+    )
+    jerk_time_s: Number = Field(0.1, gt=0.0, le=5.0, description="jerk limit = acceleration / this time")
+    home_deg: tuple[Number, ...] | None = Field(None, description="A1..A6 at rest; default: of the model")
+    velocity_scale: Number = Field(1.0, gt=0.0, le=1.0, description="share of the rated joint speeds used")
+
+
+class BaseSettings(_Settings):
+    """Where the robot stands."""
+
+    position_m: tuple[Number, Number, Number] = Field((0.0, 0.0, 0.0), description="base in the world")
+    yaw_deg: Number = Field(0.0, ge=-360.0, le=360.0, description="turn of the base about the vertical")
+
+
+class ToolSettings(_Settings):
+    """V-fixture and scanner on the flange."""
+
+    arm_m: Number = Field(0.25, ge=0.0, le=2.0, description="flange to scanner along the flange axis")
+    offset_m: Number = Field(0.0, ge=-1.0, le=1.0, description="scanner off the flange axis, along flange x")
+    tilt_deg: Number = Field(
+        45.0, ge=-180.0, le=180.0, description="optical axis against the flange axis, about flange y"
+    )
+    roll_deg: Number = Field(0.0, ge=-180.0, le=180.0, description="scanner turned about its optical axis")
+    mass_kg: Number = Field(5.0, gt=0.0, le=1000.0, description="fixture and scanner together")
+    scanner_size_m: tuple[Number, Number, Number] = Field(
+        (0.262, 0.158, 0.063), description="housing along x, y, z of the scanner"
+    )
+
+
+class TurntableSettings(_Settings):
+    """The table: seventh axis E1."""
+
+    position_m: tuple[Number, Number] = Field((2.2, 0.0), description="axis in the world, x and y")
+    height_m: Number = Field(0.70, ge=0.0, le=3.0, description="top above the floor")
+    diameter_m: Number = Field(1.52, gt=0.05, le=10.0, description="of the top")
+    thickness_m: Number = Field(0.06, gt=0.0, le=1.0, description="of the top")
+    speed_rpm: Number = Field(10.0, gt=0.0, le=120.0, description="turns per minute")
+    acceleration_rad_s2: Number = Field(0.5, gt=0.0, le=50.0, description="greatest")
+    jerk_time_s: Number = Field(0.1, gt=0.0, le=5.0, description="jerk limit = acceleration / this time")
+    range_deg: tuple[Number, Number] = Field((-720.0, 720.0), description="least and greatest angle")
+    endless: bool = Field(False, description="the table may turn on for ever; range_deg is then not used")
+
+
+class PedestalSettings(_Settings):
+    """A block between table and object; height 0 for none."""
+
+    height_m: Number = Field(0.0, ge=0.0, le=2.0, description="above the table; 0 for none")
+    diameter_m: Number = Field(0.3, gt=0.0, le=5.0, description="it is round")
+
+
+class ObstacleSettings(_Settings):
+    """A box that stands in the cell."""
+
+    name: str = Field(pattern=r"^[\w .-]{1,60}$", description="what findings and causes call it")
+    centre_m: tuple[Number, Number, Number] = Field(description="of the box, in the world")
+    size_m: tuple[Side, Side, Side] = Field(description="along its own x, y and z")
+    yaw_deg: Number = Field(0.0, description="turn of the box about the vertical")
+
+
+class ScannerSettings(_Settings):
+    """Table 1 of the paper, and the noise of the scan twin."""
+
+    field_deg: tuple[Number, Number] = Field((30.0, 21.0), description="field of view, long and short side")
+    range_m: tuple[Number, Number] = Field((0.4, 1.0), description="least and greatest working distance")
+    max_incidence_deg: Number = Field(
+        70.0, gt=0.0, lt=90.0, description="greatest angle between a ray and the surface's normal"
+    )
+    baseline_m: Number = Field(0.150, ge=0.0, le=2.0, description="camera to projector, along scanner x")
+    rays: tuple[int, int] = Field((424, 296), description="measured pixels of a frame")
+    sigma_mm: Number = Field(0.05, ge=0.0, le=10.0, description="noise along the ray at least distance")
+    frame_scale: Number = Field(1.5e-4, ge=0.0, le=0.1, description="scale error of a frame, m per m")
+
+
+class ProcessSettings(_Settings):
+    """Table 2 of the paper, and what the plan has to keep."""
+
+    standoff_m: Number = _length(0.1, 5.0, 0.7, "nominal distance of the scanner to the surface")
+    scan_speed_m_s: Number = Field(0.1, gt=0.0, le=2.0, description="scanner relative to the part")
+    transit_speed_m_s: Number = Field(0.1, gt=0.0, le=5.0, description="scanner in the world, between views")
+    fps: Number = Field(10.0, gt=0.0, le=1000.0, description="frames captured per second")
+    dwell_s: Number = Field(0.3, ge=0.0, le=60.0, description="how long the scanner stands at a viewpoint")
+    clearance_m: Number = _length(0.0, 0.5, 0.03, "arm and scanner to part, table and surroundings")
+    self_clearance_m: Number = _length(0.0, 0.2, 0.005, "links and scanner to one another")
+    budget_s: Number = Field(152.0, gt=0.0, le=1e6, description="time allowed for the whole scan")
+    max_height_m: Number = _length(0.05, 5.0, 1.2, "of a part that the cell takes")
+
+
+class TwinSettings(_Settings):
+    """What the simulated arm, table and scanner get wrong; the constant errors are zero where not stated."""
+
+    pose_mm: Number = Field(0.02, ge=0.0, le=5.0, description="arm: position of a frame, sd per axis")
+    pose_deg: Number = Field(0.003, ge=0.0, le=2.0, description="arm: orientation of a frame, sd per axis")
+    range_noise: Number = Field(1.0, ge=0.0, le=100.0, description="factor on scanner.sigma_mm; 0 is none")
+    frame_scale: Number = Field(1.0, ge=0.0, le=100.0, description="factor on scanner.frame_scale; 0 is none")
+    hand_eye_mm: tuple[Offset, Offset, Offset] = Field(
+        (0.0, 0.0, 0.0),
+        description="constant: true scanner off the nominal one, along its x, y, z",
+    )
+    hand_eye_deg: tuple[Turn, Turn, Turn] = Field(
+        (0.0, 0.0, 0.0), description="constant: rotation vector of the true scanner against the nominal one"
+    )
+    axis_mm: tuple[Offset, Offset] = Field(
+        (0.0, 0.0), description="constant: true axis of the table off the nominal one, along x and y"
+    )
+    axis_deg: tuple[Turn, Turn] = Field(
+        (0.0, 0.0), description="constant: tilt of the table's true axis about x and y"
+    )
+    backlash_deg: Number = Field(
+        0.0, ge=0.0, le=2.0, description="play of the table: it lags by half of this behind its motion"
+    )
+
+
+class CellSettings(_Settings):
+    """All that describes a cell; `load_cell` reads it from YAML."""
+
+    name: str = "cell"
+    robot: RobotSettings = RobotSettings.model_validate({})
+    base: BaseSettings = BaseSettings.model_validate({})
+    tool: ToolSettings = ToolSettings.model_validate({})
+    turntable: TurntableSettings = TurntableSettings.model_validate({})
+    pedestal: PedestalSettings = PedestalSettings.model_validate({})
+    obstacles: tuple[ObstacleSettings, ...] = Field((), max_length=200)
+    scanner: ScannerSettings = ScannerSettings.model_validate({})
+    process: ProcessSettings = ProcessSettings.model_validate({})
+    twin: TwinSettings = TwinSettings.model_validate({})
+
+    folder: str = Field("", exclude=True, description="where the YAML lies; model paths are relative to it")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "CellSettings":
+        low, high = self.scanner.range_m
+        if not 0 < low < high:
+            raise ValueError(f"scanner.range_m: {low:g} .. {high:g} is not an increasing range above zero")
+        if not low <= self.process.standoff_m <= high:
+            raise ValueError(
+                f"process.standoff_m: {self.process.standoff_m:g} is outside scanner.range_m"
+                f" {low:g} .. {high:g}"
+            )
+        if self.turntable.range_deg[1] - self.turntable.range_deg[0] < 360 and not self.turntable.endless:
+            raise ValueError("turntable.range_deg: less than one turn; a revolution needs 360 deg")
+        if not (0 < self.scanner.field_deg[1] <= 120 and 0 < self.scanner.field_deg[0] <= 120):
+            raise ValueError("scanner.field_deg: angles between 0 and 120 deg are expected")
+        if min(self.scanner.rays) < 8 or max(self.scanner.rays) > 8192:
+            raise ValueError("scanner.rays: between 8 and 8192 pixels are expected")
+        names = [obstacle.name for obstacle in self.obstacles]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"obstacles: the name {name!r} is there twice")
+            if name in OWN_NAMES:
+                raise ValueError(f"obstacles: {name!r} is a name of the cell's own: {', '.join(OWN_NAMES)}")
+        for key in ("home_deg", "acceleration"):
+            value = getattr(self.robot, key)
+            if isinstance(value, tuple) and len(value) != 6:
+                raise ValueError(f"robot.{key}: 6 values are expected, not {len(value)}")
+        if isinstance(self.robot.acceleration, tuple) and min(self.robot.acceleration) <= 0:
+            raise ValueError("robot.acceleration: positive values are expected")
+        return self
+
+    def scanner_model(self) -> Scanner:
+        """The scanner in SI units."""
+        s = self.scanner
+        return Scanner(
+            fov=(math.radians(s.field_deg[0]), math.radians(s.field_deg[1])), range=s.range_m,
+            max_incidence=math.radians(s.max_incidence_deg), baseline=s.baseline_m, rays=s.rays,
+            sigma_at_near=s.sigma_mm * 1e-3, frame_scale=s.frame_scale,
+        )  # fmt: skip
+
+    def twin_errors(self) -> dict[str, Any]:
+        """The twin's errors in SI units, by the names of `scan.captures.ScanErrors`."""
+        t = self.twin
+        return {
+            "range_noise": t.range_noise, "frame_scale": t.frame_scale,
+            "pose_m": _metres(t.pose_mm), "pose_rad": math.radians(t.pose_deg),
+            "hand_eye_m": tuple(map(_metres, t.hand_eye_mm)),
+            "hand_eye_rad": tuple(map(math.radians, t.hand_eye_deg)),
+            "axis_m": tuple(map(_metres, t.axis_mm)), "axis_rad": tuple(map(math.radians, t.axis_deg)),
+            "backlash_rad": math.radians(t.backlash_deg),
+        }  # fmt: skip
+
+
+def _metres(millimetres: float) -> float:
+    return millimetres / 1000
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """YAML without code, in which no key may stand twice: the last one would silently win."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        keys = [k.value for k, _ in node.value if isinstance(k, yaml.ScalarNode)]
+        for key in keys:
+            if keys.count(key) > 1:
+                line = node.start_mark.line + 1
+                raise yaml.YAMLError(f"the key {key!r} is there twice in the mapping from line {line} on")
+        return super().construct_mapping(node, deep=deep)
+
+
+def builtin_cells() -> tuple[str, ...]:
+    """Names of the cells that come with the package."""
+    return tuple(sorted(p.stem for p in (models_dir() / "cells").glob("*.yaml")))
+
+
+def load_cell(name_or_path: str | Path) -> CellSettings:
+    """A built-in cell by name, or a YAML file.
+
+    Raises:
+        CellError: unknown name, unreadable file, unknown key, wrong type or unit, with the dotted key.
+    """
+    text = str(name_or_path)
+    if text in builtin_cells():
+        path = models_dir() / "cells" / f"{text}.yaml"
+    else:
+        path = Path(name_or_path)
+        if path.suffix not in (".yaml", ".yml"):
+            raise CellError(f"unknown robot {text!r}; known: {', '.join(builtin_cells())}, or a YAML file")
+        if not path.is_file():
+            raise CellError(f"{text}: no such file")
+    try:
+        if path.stat().st_size > 1 << 20:
+            raise CellError(f"{text}: more than 1 MiB is not a cell")
+        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        line = " ".join(str(error).split())[:160]
+        raise CellError(f"{text}: is not readable YAML ({line})") from None
+    if not isinstance(data, dict):
+        raise CellError(f"{text}: a mapping of settings is expected")
+    return settings_from(data, folder=str(path.resolve().parent))
+
+
+def settings_from(data: dict[str, Any], *, folder: str = "") -> CellSettings:
+    """Settings from a plain mapping, as YAML gives it.
+
+    Raises:
+        CellError: as load_cell.
+    """
+    try:
+        return CellSettings.model_validate({**data, "folder": folder})
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal")))
+        raise CellError(_message(first, key, data), key=key) from None
+
+
+def _message(first: Any, key: str, data: dict) -> str:
+    kind, context = first["type"], first.get("ctx") or {}
+    if kind == "extra_forbidden":
+        model: Any = CellSettings
+        for part in first["loc"][:-1]:
+            field = model.model_fields.get(str(part)) if hasattr(model, "model_fields") else None
+            model = field.annotation if field is not None else ObstacleSettings
+        known = sorted(set(getattr(model, "model_fields", {})) - {"folder"})
+        return f"unknown; known: [{', '.join(known)}]"
+    value = first.get("input")
+    if kind in ("greater_than_equal", "less_than_equal", "greater_than", "less_than"):
+        bound = next(iter(context.values()))
+        if value == bound:
+            return f"{value!r} itself is not allowed"
+        side = "below" if kind.startswith("greater") else "above"
+        suffix = key.rstrip(".0123456789").rsplit("_", 1)[-1]
+        unit = {"m": "metres", "mm": "millimetres", "deg": "degrees"}.get(suffix)
+        hint = f"; is it in {unit}?" if unit else ""
+        return f"{value!r} is {side} the {'least' if side == 'below' else 'greatest'} {bound:g} allowed{hint}"
+    if kind == "string_pattern_mismatch":
+        return f"{str(value)[:40]!r}: letters, digits, spaces, '.', '_' and '-' are expected"
+    text = first["msg"].removeprefix("Value error, ")
+    return " ".join(text.split())
+
+
+_OBSTACLE = """# Boxes that stand in the cell, for instance
+# obstacles:
+#   - {name: pillar, centre_m: [1.2, 1.4, 1.5], size_m: [0.3, 0.3, 3.0], yaw_deg: 20}"""
+
+
+def cell_template(name: str = "kr240") -> str:
+    """A commented YAML of the built-in cell `name`, every key with its meaning and value."""
+    settings = load_cell(name)
+    lines = [
+        "# A cell of scanmotion. Lengths in metres (_m), angles in degrees (_deg), times in seconds (_s).",
+        "",
+    ]
+    for key in CellSettings.model_fields:
+        value = getattr(settings, key)
+        if key == "folder":
+            continue
+        if not isinstance(value, BaseModel):
+            plain = [v.model_dump() for v in value] if isinstance(value, tuple) else value
+            lines += [_OBSTACLE] if key == "obstacles" else []
+            lines += [f"{key}: {_yaml(plain)}", ""]
+            continue
+        lines += [f"# {' '.join((type(value).__doc__ or '').split())}", f"{key}:"]
+        for inner, field in type(value).model_fields.items():
+            note = f"  # {field.description}" if field.description else ""
+            lines.append(f"  {inner}: {_yaml(getattr(value, inner))}{note}")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _yaml(value: Any) -> str:
+    text = yaml.safe_dump(list(value) if isinstance(value, tuple) else value, default_flow_style=True)
+    return text.replace("\n...", "").strip()
+
+
+def pose(xyz: Any, yaw: float = 0.0) -> np.ndarray:
+    """A (4, 4) pose at `xyz` [m], turned by `yaw` about z [rad]."""
+    X = np.eye(4)
+    X[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
+    X[:3, 3] = xyz
+    return X

@@ -1,0 +1,62 @@
+"""PLY files of clouds and meshes, written as a whole or not at all."""
+
+from pathlib import Path
+
+import numpy as np
+
+from scanmotion.core.errors import InputError
+
+
+def write_ply(
+    path: Path, points: np.ndarray, *, normals: np.ndarray | None = None, colors: np.ndarray | None = None,
+    quality: np.ndarray | None = None, triangles: np.ndarray | None = None,
+) -> None:  # fmt: skip
+    """Writes a binary little-endian PLY under a temporary name and renames it; arguments as ply_data."""
+    replaced(
+        path, ply_data(points, normals=normals, colors=colors, quality=quality, triangles=triangles)
+    )  # fmt: skip
+
+
+def ply_data(
+    points: np.ndarray, *, normals: np.ndarray | None = None, colors: np.ndarray | None = None,
+    quality: np.ndarray | None = None, triangles: np.ndarray | None = None,
+) -> bytes:  # fmt: skip
+    """A binary little-endian PLY in single precision.
+
+    Args:
+        points: shape (n, 3).
+        normals: shape (n, 3).
+        colors: shape (n, 3) uint8.
+        quality: shape (n,).
+        triangles: shape (t, 3).
+    """
+    fields = [("x", "f4"), ("y", "f4"), ("z", "f4")]
+    fields += [("nx", "f4"), ("ny", "f4"), ("nz", "f4")] if normals is not None else []
+    fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")] if colors is not None else []
+    fields += [("quality", "f4")] if quality is not None else []
+    table = np.zeros(len(points), np.dtype([(n, "<" + t) for n, t in fields]))
+    for names, values in (
+        (("x", "y", "z"), points), (("nx", "ny", "nz"), normals), (("red", "green", "blue"), colors),
+        (("quality",), None if quality is None else quality[:, None]),
+    ):  # fmt: skip
+        for a, name in enumerate(names if values is not None else ()):
+            table[name] = values[:, a]  # pyright: ignore[reportOptionalSubscript]
+    kinds = {"f4": "float", "u1": "uchar"}
+    lines = ["ply", "format binary_little_endian 1.0", "comment scanmotion", f"element vertex {len(points)}"]
+    lines += [f"property {kinds[t]} {n}" for n, t in fields]
+    faces = np.zeros(0 if triangles is None else len(triangles), np.dtype([("k", "u1"), ("v", "<i4", (3,))]))
+    if triangles is not None:
+        faces["k"], faces["v"] = 3, triangles
+        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    header = ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
+    return header + table.tobytes() + faces.tobytes()
+
+
+def replaced(path: Path, data: bytes) -> None:
+    """Writes `data` under a temporary name and renames it: the file is whole or not there."""
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None

@@ -1,0 +1,123 @@
+"""What the twin's scans are worth beyond the fused cloud: calibration, registration, surface, and files."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from scanmotion.core.part import Part
+from scanmotion.geometry.parts import surface_samples
+from scanmotion.sensing.assess import Accuracy, accuracy, distances_to, raycaster
+from scanmotion.sensing.calibration import PARAMETERS, Calibration
+from scanmotion.sensing.corrections import Mending
+from scanmotion.sensing.fusion.fuse import Cloud
+from scanmotion.sensing.fusion.surface import deviation_mesh
+from scanmotion.sensing.registration import Registration
+from scanmotion.sensing.scan_files import cloud_data, scan_data
+from scanmotion.sensing.simulator.simulate import Scan
+
+__all__ = ["calibration_record", "millimetres", "registration_records", "scan_files", "surface_record"]
+
+_SAMPLES = 100_000
+"""Samples, uniform by area, at which a reconstructed surface is assessed."""
+
+
+def millimetres(found: Accuracy | None) -> dict[str, float | None]:
+    """Mean absolute, standard deviation and mean of the signed distance [mm]."""
+    names = ("mean_abs", "sd_signed", "mean_signed")
+    return {f"{n}_mm": None if found is None else round(getattr(found, n) * 1e3, 5) for n in names}
+
+
+def calibration_record(mending: Mending | None) -> dict[str, Any] | None:
+    """`calibration` of summary.json; None where the trip did not calibrate, or could not."""
+    if mending is None or mending.calibration is None:
+        return None
+    found = mending.calibration
+    e = asdict(found.errors)
+    values = [*e["hand_eye_m"], *e["hand_eye_rad"], *e["axis_m"], *e["axis_rad"], e["backlash_rad"]]
+    return {
+        "applied": mending.applied,
+        "estimated": _by_name(values),
+        "sd": _by_name(found.sd),
+        "undetermined": _undetermined(found),
+        "disagreement_mm": {
+            "before": round(found.rms_before * 1e3, 5), "after": round(found.rms_after * 1e3, 5),
+        },
+        "global_cloud": {"before": millimetres(mending.before), "after": millimetres(mending.after)},
+        "statement": found.statement + ("" if mending.applied else "; nothing is corrected"),
+    }  # fmt: skip
+
+
+def _by_name(values: Sequence[float] | np.ndarray) -> dict[str, Any]:
+    """The unknowns of calibration in the keys of the cell's section `twin`."""
+    v = np.asarray(values, float)
+    deg, mm = np.rad2deg(v), v * 1e3
+
+    def told(a: np.ndarray) -> list[float]:
+        return [round(float(x), 6) for x in a]
+
+    return {
+        "hand_eye_mm": told(mm[:3]), "hand_eye_deg": told(deg[3:6]), "axis_mm": told(mm[6:8]),
+        "axis_deg": told(deg[8:10]), "backlash_deg": round(float(deg[10]), 6),
+    }  # fmt: skip
+
+
+def _undetermined(found: Calibration) -> list[str]:
+    return [name for name, known in zip(PARAMETERS, found.known, strict=True) if not known]
+
+
+def registration_records(mending: Mending | None) -> list[dict[str, Any]]:
+    """`registration` of summary.json: one entry for each scan after the first."""
+    return [] if mending is None else [_registration(i, r) for i, r in mending.registrations]
+
+
+def _registration(index: int, found: Registration) -> dict[str, Any]:
+    sure = np.isfinite(found.uncertainty)
+    return {
+        "round": index + 1,
+        "rms_mm": round(found.rms * 1e3, 5),
+        "fitness": round(found.fitness, 4),
+        "uncertainty_mm": round(found.uncertainty * 1e3, 5) if sure else None,
+        "shift_mm": round(found.shift * 1e3, 5),
+        "turn_deg": round(float(np.rad2deg(found.turn)), 5),
+        "trusted": found.trusted,
+        "statement": found.statement,
+    }
+
+
+def surface_record(
+    surface: tuple[np.ndarray, np.ndarray], part: Part, seen_points: np.ndarray | None = None
+) -> dict[str, Any]:
+    """`surface` of summary.json: the reconstructed surface against the truth, and the truth against it.
+
+    Args:
+        surface: vertices (v, 3) [m] and triangles (t, 3).
+        part: the reference mesh.
+        seen_points: points of the true surface that the scan saw, shape (n, 3) [m]; None for no way back.
+    """
+    made = Part(name="surface", vertices=surface[0], triangles=surface[1])
+    at = surface_samples(made, _SAMPLES, rng=np.random.default_rng(0)).points
+    back: dict[str, float] = {}
+    if seen_points is not None and len(seen_points):
+        d = np.abs(distances_to(raycaster(made), seen_points, closed=False))
+        back = {
+            "mean_abs_mm": round(float(d.mean()) * 1e3, 5),
+            "p95_abs_mm": round(float(np.percentile(d, 95)) * 1e3, 5),
+        }
+    return {**millimetres(accuracy(at, part)), "triangles": len(surface[1]), "from_truth": back or None}
+
+
+def scan_files(
+    cloud: Cloud, surface: tuple[np.ndarray, np.ndarray], part: Part, scans: Sequence[Scan]
+) -> dict[str, bytes]:
+    """The scans as files of a plan folder: cloud.ply, deviation.ply and frames-1.npz, frames-2.npz, ...
+
+    Args:
+        cloud: fused.
+        surface: reconstructed from it, vertices (v, 3) [m] and triangles (t, 3).
+        part: the reference mesh, whose distance colours the surface.
+        scans: of the rounds.
+    """
+    frames = {f"frames-{i + 1}.npz": scan_data(scan) for i, scan in enumerate(scans)}
+    return {"cloud.ply": cloud_data(cloud), "deviation.ply": deviation_mesh(*surface, part).data(), **frames}

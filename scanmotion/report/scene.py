@@ -1,0 +1,385 @@
+"""The scene: robot, part, scanner, viewpoints and motion, as a page that plays or live on localhost.
+
+Nothing listens beyond the loopback device, and the page loads nothing from anywhere.
+"""
+
+import json
+from html import escape
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import Meshcat, MeshcatAnimation, MeshcatParams, Rgba, Role
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.framework import DiagramBuilder
+
+from scanmotion.cell.drake_scene import add_cell
+from scanmotion.cell.kinematics import object_poses, scanner_poses
+from scanmotion.report.figures import palette
+from scanmotion.report.figures.shapes import (  # fmt: skip
+    Mesh,
+    field_edges,
+    field_faces,
+    label,
+    paintable,
+    segments,
+    tube,
+    vertex_normals,
+)
+from scanmotion.report.figures.sight import first_sight
+from scanmotion.report.figures.surface import nearest_status, status_of_samples
+
+FRAMES_PER_SECOND = 10.0
+_AXIS_COLOURS = ("#d62728", "#2ca02c", "#1f77b4")
+
+
+def scene_html(plan: Any) -> str:
+    """A self-contained page that plays the plan.
+
+    Args:
+        plan: a Plan, made just now or loaded from its folder.
+    """
+    meshcat = live_scene(plan)
+    page = meshcat.StaticHtml()
+    return _with_overlay(page, plan)
+
+
+def live_scene(plan: Any) -> Meshcat:
+    """The scene served on localhost only, with the motion recorded; `web_url()` says where."""
+    meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
+    meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.97])
+    meshcat.SetProperty("/Background", "bottom_color", [1.0, 1.0, 1.0])
+    meshcat.SetProperty("/Grid", "visible", False)
+    meshcat.SetProperty("/Axes", "visible", False)
+    meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 0.9)
+    bodies = _cell(meshcat, plan)
+    appearing = _part(meshcat, plan)
+    _scanner(meshcat, plan)
+    _frames(meshcat, plan)
+    if plan.trajectory is None:
+        for path, X in bodies.poses(plan.cell.home[None]).items():
+            meshcat.SetTransform(path, _pose(X[0]))
+    else:
+        _path(meshcat, plan)
+        _record(meshcat, plan, bodies, appearing)
+    base, table = plan.cell.X_WB[:3, 3], plan.cell.X_WT[:3, 3]
+    meshcat.SetCameraPose(table + [0.25, -2.4, 1.15], 0.63 * table + 0.37 * base + [0.0, 0.0, 0.45])
+    return meshcat
+
+
+def _columns(rows: np.ndarray, kind: Any = float) -> Any:
+    """Rows as the Fortran-ordered columns that Meshcat takes."""
+    return np.asfortranarray(rows.T.astype(kind))
+
+
+def _pose(X: Any) -> RigidTransform:
+    return RigidTransform(X)
+
+
+def _mesh(meshcat: Meshcat, path: str, mesh: Mesh, colour: str, alpha: float = 1.0) -> None:
+    rgba = Rgba(*palette.rgb(colour), alpha)
+    meshcat.SetTriangleMesh(path, _columns(mesh[0]), _columns(mesh[1], np.int32), rgba)
+
+
+class _Bodies:
+    """The cell's bodies as Drake parses them, for drawing."""
+
+    def __init__(self, cell: Any) -> None:
+        builder = DiagramBuilder()
+        self.plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
+        add_cell(self.plant, cell)
+        self.plant.Finalize()
+        self._diagram = builder.Build()  # keeps plant and scene graph alive
+        joints = (self.plant.GetJointByName(name) for name in cell.joint_names)
+        self._order = [joint.position_start() for joint in joints]
+        self.shapes: dict[str, list[tuple[Any, RigidTransform, Rgba]]] = {}
+        inspector = scene_graph.model_inspector()
+        for frame in inspector.GetAllFrameIds():
+            name = self.plant.GetBodyFromFrameId(frame).name()
+            for geometry in inspector.GetGeometries(frame, Role.kIllustration):
+                paint = inspector.GetIllustrationProperties(geometry)
+                colour = paint.GetPropertyOrDefault("phong", "diffuse", Rgba(0.7, 0.7, 0.7, 1.0))
+                found = (inspector.GetShape(geometry), inspector.GetPoseInFrame(geometry), colour)
+                self.shapes.setdefault(name, []).append(found)
+
+    def poses(self, q: np.ndarray) -> dict[str, np.ndarray]:
+        """Pose in W of each body that is drawn, by its path, shape (n, 4, 4)."""
+        context = self.plant.CreateDefaultContext()
+        bodies = {name: self.plant.GetBodyByName(name) for name in self.shapes}
+        poses = {f"cell/{name}": np.zeros((len(q), 4, 4)) for name in bodies}
+        positions = np.zeros(self.plant.num_positions())
+        for i, values in enumerate(q):
+            positions[self._order] = values
+            self.plant.SetPositions(context, positions)
+            for name, body in bodies.items():
+                poses[f"cell/{name}"][i] = self.plant.EvalBodyPoseInWorld(context, body).GetAsMatrix4()
+        return poses
+
+
+def _cell(meshcat: Meshcat, plan: Any) -> _Bodies:
+    bodies = _Bodies(plan.cell)
+    for name, shapes in bodies.shapes.items():
+        for number, (shape, X, colour) in enumerate(shapes):
+            path = f"cell/{name}/{number}"
+            meshcat.SetObject(path, shape, colour)
+            meshcat.SetTransform(path, X)
+    # A round table does not show that it turns: a mark on its rim does.
+    radius = plan.cell.settings.turntable.diameter_m / 2
+    mark = np.array([[0.85 * radius, 0.0, 0.002], [radius, 0.0, 0.002]]) - plan.cell.X_TO[:3, 3]
+    _mesh(meshcat, "part/table_mark", tube(mark, 0.008), "#c8102e")
+    return bodies
+
+
+def _part(meshcat: Meshcat, plan: Any) -> list[tuple[str, float]]:
+    """The surface coloured by what becomes of it, the holes and the viewpoints: all turn with the table.
+
+    Returns:
+        Path and instant [s] of each piece of surface that is seen, which is grey until then.
+    """
+    part, appearing = plan.part, []
+    if part.is_mesh and plan.samples is not None and plan.visible is not None:
+        appearing = _surface(meshcat, plan)
+    elif part.is_mesh:
+        _mesh(meshcat, "part/surface", paintable(part), "#cccccc")
+    else:
+        _cloud(meshcat, part.vertices)
+    for number, hole in enumerate(plan.holes.holes if plan.holes is not None else (), start=1):
+        loop = np.vstack([hole.boundary, hole.boundary[:1]])
+        colour = palette.HOLE_COLOURS.get(hole.kind, "#444444")
+        _mesh(meshcat, f"part/holes/H{number}/loop", tube(loop, 0.0015), colour)
+        _text(
+            meshcat,
+            f"part/holes/H{number}/label",
+            f"H{number}",
+            hole.center + 0.03 * hole.normal,
+            0.03,
+            colour,
+        )
+    _viewpoints(meshcat, plan)
+    return appearing
+
+
+def _surface(meshcat: Meshcat, plan: Any) -> list[tuple[str, float]]:
+    """The part's triangles in pieces, one for each colour and instant at which it appears."""
+    vertices, triangles = paintable(plan.part)
+    normals = vertex_normals((vertices, triangles))
+    ends, first = first_sight(plan)
+    status = status_of_samples(plan)
+    # One number for both: which sample is nearest is asked once.
+    both = (first + 1) * len(palette.STATUS_COLOURS) + status
+    kind = nearest_status(vertices, normals, plan.samples, both)[triangles[:, 0]]
+    appearing = []
+    for value in np.unique(kind):
+        used, index = np.unique(triangles[kind == value], return_inverse=True)
+        mesh, colour = (vertices[used], index.reshape(-1, 3)), int(value) % len(palette.STATUS_COLOURS)
+        slice_, path = int(value) // len(palette.STATUS_COLOURS) - 1, f"part/surface/{value}"
+        if slice_ >= 0:
+            _mesh(meshcat, f"{path}/before", mesh, palette.NOT_YET)
+            appearing.append((path, float(ends[slice_])))
+        _mesh(meshcat, f"{path}/seen", mesh, palette.STATUS_COLOURS[colour])
+    return appearing
+
+
+def _cloud(meshcat: Meshcat, points: np.ndarray) -> None:
+    from pydrake.perception import PointCloud
+
+    shown = points[:: max(1, len(points) // 100_000)]
+    cloud = PointCloud(len(shown))
+    cloud.mutable_xyzs()[:] = shown.T
+    meshcat.SetObject("part/surface", cloud, point_size=0.002, rgba=Rgba(0.6, 0.6, 0.65, 1.0))
+
+
+def _viewpoints(meshcat: Meshcat, plan: Any) -> None:
+    lost = dict(plan.unreachable)
+    scanner = plan.cell.settings.scanner_model()
+    edges = field_edges(scanner, 0.02, 0.10)
+    for view in plan.viewpoints:
+        left_out = palette.CAUSE_COLOURS["out_of_reach"]
+        served = palette.STATUS_COLOURS[palette.SEEN_GLOBAL if view.step == "global" else palette.SEEN_LOCAL]
+        colour = left_out if view.id in lost else served
+        path = f"part/viewpoints/{view.id}"
+        _mesh(meshcat, f"{path}/field", segments(edges, 0.0015), colour)
+        meshcat.SetTransform(f"{path}/field", _pose(view.X_OS))
+        _text(meshcat, f"{path}/label", view.id, view.p_OS + np.array([0.0, 0.0, 0.03]), 0.04, colour)
+
+
+def _text(meshcat: Meshcat, path: str, text: str, at: np.ndarray, height: float, colour: str) -> None:
+    _mesh(meshcat, path, label(text, height), colour)
+    meshcat.SetTransform(path, _pose(np.asarray(at, dtype=float)))
+
+
+def _triad(meshcat: Meshcat, path: str, name: str, X: np.ndarray, length: float) -> None:
+    """Red x, green y, blue z with their letters, and the frame's name at its origin."""
+    for axis, letter in enumerate("xyz"):
+        end = np.zeros(3)
+        end[axis] = length
+        line = np.array([np.zeros(3), end])
+        _mesh(meshcat, f"{path}/{letter}", tube(line, 0.02 * length), _AXIS_COLOURS[axis])
+        _text(meshcat, f"{path}/{letter}_label", letter, 1.08 * end, 0.05, _AXIS_COLOURS[axis])
+    _text(meshcat, f"{path}/name", name, np.array([0.0, 0.0, 1.08 * length + 0.1]), 0.06, "#222222")
+    meshcat.SetTransform(path, _pose(X))
+
+
+def _scanner(meshcat: Meshcat, plan: Any) -> None:
+    scanner = plan.cell.settings.scanner_model()
+    near, far = scanner.range
+    _mesh(meshcat, "scanner/field/volume", field_faces(scanner, far), "#f2a33a", 0.16)
+    _mesh(meshcat, "scanner/field/edges", segments(field_edges(scanner, near, far), 0.002), "#c77700")
+    _triad(meshcat, "scanner/frame", "S", np.eye(4), 0.15)
+
+
+def _frames(meshcat: Meshcat, plan: Any) -> None:
+    cell = plan.cell
+    _triad(meshcat, "frames/W", "W", np.eye(4), 0.9)
+    if not np.allclose(cell.X_WB, np.eye(4)):
+        _triad(meshcat, "frames/B", "B", cell.X_WB, 0.8)
+    _triad(meshcat, "part/frame", "O", np.eye(4), 0.25)
+
+
+def _path(meshcat: Meshcat, plan: Any) -> None:
+    """The way of the scanner's optical centre, one colour for each kind of operation."""
+    trajectory = plan.trajectory
+    for o in trajectory.operations:
+        inside = np.flatnonzero((trajectory.t >= o.t_start) & (trajectory.t <= o.t_end))
+        p = scanner_poses(plan.cell, trajectory.q[inside[:: max(1, len(inside) // 150)]])[:, :3, 3]
+        keep = np.concatenate([[True], np.linalg.norm(np.diff(p, axis=0), axis=1) > 1e-4])
+        if keep.sum() >= 2:
+            _mesh(
+                meshcat, f"path/{o.index}_{o.kind}", tube(p[keep], 0.003), palette.OPERATION_COLOURS[o.kind]
+            )
+
+
+def frame_times(trajectory: Any, fps: float = FRAMES_PER_SECOND) -> np.ndarray:
+    """Indices of the trajectory's samples that become frames: evenly spaced, and each operation's ends."""
+    t = trajectory.t
+    wanted = np.arange(0.0, t[-1], 1.0 / fps)
+    ends = [time for o in trajectory.operations for time in (o.t_start, o.t_end)]
+    index = np.searchsorted(t, np.concatenate([wanted, ends, [t[-1]]]) - 1e-9)
+    return np.unique(np.clip(index, 0, len(t) - 1))
+
+
+def _record(meshcat: Meshcat, plan: Any, bodies: _Bodies, appearing: list[tuple[str, float]]) -> None:
+    cell, trajectory = plan.cell, plan.trajectory
+    index = frame_times(trajectory)
+    t, q = trajectory.t[index], trajectory.q[index]
+    poses = bodies.poses(q)
+    poses["scanner"], poses["part"] = scanner_poses(cell, q), object_poses(cell, q)
+    scanning = np.zeros(len(t), bool)
+    for o in trajectory.operations:
+        if o.scanning:
+            scanning |= (t >= o.t_start) & (t < o.t_end)
+    meshcat.StartRecording(frames_per_second=64.0, set_visualizations_while_recording=False)
+    for path, X in poses.items():
+        for i in _changes(X):
+            meshcat.SetTransform(path, _pose(X[i]), time_in_recording=float(t[i]))
+    for i in _changes(scanning[:, None, None]):
+        meshcat.SetProperty("scanner/field", "visible", bool(scanning[i]), time_in_recording=float(t[i]))
+    for path, instant in appearing:
+        for name, before in (("before", True), ("seen", False)):
+            meshcat.SetProperty(f"{path}/{name}", "visible", before, time_in_recording=0.0)
+            meshcat.SetProperty(f"{path}/{name}", "visible", not before, time_in_recording=instant)
+    meshcat.StopRecording()
+    meshcat.get_mutable_recording().set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
+    meshcat.PublishRecording()
+    # What a reader without scripts, or a paused page, sees first.
+    for path, X in poses.items():
+        meshcat.SetTransform(path, _pose(X[0]))
+    meshcat.SetProperty("scanner/field", "visible", bool(scanning[0]))
+    for path, _ in appearing:
+        meshcat.SetProperty(f"{path}/before", "visible", False)
+
+
+def _changes(values: np.ndarray) -> np.ndarray:
+    """Frames that must be written: the first, and both sides of every change."""
+    moved = np.abs(np.diff(values.astype(float), axis=0)).max(axis=(1, 2)) > 1e-9
+    keep = np.zeros(len(values), bool)
+    keep[0] = True
+    keep[1:] |= moved
+    keep[:-1] |= moved
+    return np.flatnonzero(keep)
+
+
+_OVERLAY = """
+<style>#sm{position:fixed;left:12px;top:12px;font:13px/1.5 system-ui,sans-serif;color:#222;
+background:#ffffffd9;padding:.6em .9em;border-radius:6px;max-width:23em}#sm b{font-weight:600}
+#sm i{display:inline-block;width:.8em;height:.8em;margin-right:.5em;border-radius:2px}
+#sm-now{font-variant-numeric:tabular-nums}#sm input{width:14em;vertical-align:middle}</style>
+<div id="sm"><b>%(title)s</b><br>%(numbers)s
+<div><button id="sm-play">pause</button>
+<input id="sm-at" type="range" min="0" max="%(seconds)s" step="0.05"></div>
+<div id="sm-now"></div>%(legend)s</div>
+<script>
+// scene.html#t=12 opens the scene at rest at 12 s.
+(function () {
+  const steps = %(steps)s, find = id => document.getElementById(id);
+  const play = find("sm-play"), at = find("sm-at"), now = find("sm-now");
+  let asked = /t=([0-9.]+)/.exec(location.hash);
+  function hold(a, t) { a.pause(); a.seek(t); a.display_progress(t); }
+  at.addEventListener("input", () => hold(viewer.animator, Number(at.value)));
+  play.addEventListener("click", () => {
+    const a = viewer.animator;
+    if (a.playing) a.pause(); else a.play();
+  });
+  // Labels face the reader and keep their size on the screen.
+  function labels(node, found) {
+    for (const [name, child] of Object.entries(node.children)) {
+      if (/(label|name)$/.test(name)) found.push(child.object);
+      labels(child, found);
+    }
+    return found;
+  }
+  let shown = "";
+  function face() {
+    requestAnimationFrame(face);
+    if (typeof viewer === "undefined" || !viewer.animator) return;
+    const c = viewer.camera, state = c.matrixWorld.elements.join() + viewer.animator.time;
+    if (state === shown) return;
+    shown = state;
+    const Q = c.quaternion.constructor, V = c.position.constructor, eye = c.getWorldPosition(new V());
+    const turn = c.getWorldQuaternion(new Q()).multiply(new Q(-Math.SQRT1_2, 0, 0, Math.SQRT1_2));
+    for (const o of labels(viewer.scene_tree, [])) {
+      o.quaternion.copy(o.parent.getWorldQuaternion(new Q()).invert().multiply(turn));
+      o.scale.setScalar(o.getWorldPosition(new V()).distanceTo(eye) / 2.4);
+    }
+    viewer.set_dirty();
+  }
+  face();
+  setInterval(function () {
+    const a = typeof viewer === "undefined" ? null : viewer.animator;
+    if (!a || !a.actions.length) return;
+    if (asked) { hold(a, Number(asked[1])); asked = null; }
+    const t = a.time, step = steps.find(s => t < s[1]) || steps[steps.length - 1];
+    if (a.playing || document.activeElement !== at) at.value = t;
+    play.textContent = a.playing ? "pause" : "play";
+    if (step) now.textContent = t.toFixed(1) + " s  " + step[2];
+  }, 100);
+})();
+</script>
+"""
+
+
+def _with_overlay(page: str, plan: Any) -> str:
+    """The page with a legend, the numbers, and what is being done at the moment shown."""
+    summary = plan.summary
+    done, time = summary["completeness"]["final"], summary["time_s"]["total"]
+    numbers = f"{time:.1f} s" + ("" if done is None else f", {done:.2%} of what can be seen")
+    entries = list(zip(palette.STATUS_NAMES, palette.STATUS_COLOURS, strict=True))
+    entries = [("not seen yet", palette.NOT_YET), *entries] if plan.samples is not None else []
+    kinds = dict.fromkeys(o.kind for o in plan.trajectory.operations) if plan.trajectory is not None else {}
+    entries += [(f"path: {kind}", palette.OPERATION_COLOURS[kind]) for kind in kinds]
+    entries += [("field of view (while scanning)", "#f2a33a"), ("viewpoint left out", "#c8102e")]
+    legend = "<br>".join(f'<i style="background:{c}"></i>{escape(name)}' for name, c in entries)
+    steps = [
+        (o.t_start, o.t_end, f"{o.kind} {' '.join(o.viewpoints)}")
+        for o in (plan.trajectory.operations if plan.trajectory is not None else ())
+    ]
+    overlay = _OVERLAY % {
+        "title": escape(plan.part.name),
+        "numbers": escape(numbers),
+        "legend": f"<div>{legend}</div><div>axes: red x, green y, blue z</div>",
+        "seconds": f"{time:.2f}",
+        # A "<" in a name must not be able to end or open a script element.
+        "steps": json.dumps(steps).replace("<", "\\u003c"),
+    }
+    head, end, tail = page.rpartition("</body>")
+    return head.replace("<title>Drake MeshCat</title>", "<title>scanmotion</title>") + overlay + end + tail

@@ -1,0 +1,171 @@
+"""Where and when frames are taken, and what arm, table and scanner get wrong: the inputs of the scan twin."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation
+
+from scanmotion.core.errors import InputError
+from scanmotion.core.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Captures:
+    """The nominal poses of the frames: what the controller reports when each is taken."""
+
+    t: np.ndarray
+    """Times, shape (n,) [s]."""
+    X_WS: np.ndarray
+    """Poses of the scanner in the world, shape (n, 4, 4)."""
+    table_angle: np.ndarray
+    """Turntable joint E1, shape (n,) [rad]."""
+    X_WT: np.ndarray
+    """Pose of the turntable at angle zero, shape (4, 4)."""
+    X_TO: np.ndarray
+    """Pose of the object on the table, shape (4, 4)."""
+    table_sense: np.ndarray | None = None
+    """Sense in which the table moved last: -1, 0 or +1, shape (n,); None is 0. Backlash follows it."""
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def X_OS(self) -> np.ndarray:
+        """Nominal poses of the scanner in the object frame, shape (n, 4, 4)."""
+        X_WO = self.X_WT @ turned(self.table_angle) @ self.X_TO
+        return inverse(X_WO) @ self.X_WS
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanErrors:
+    """What the measurement gets wrong, beside the scanner's own frame scale; all zero but the stated noise.
+
+    The figures of the defaults are those of docs/method.md, "The scan twin".
+    """
+
+    range_noise: float = 1.0
+    """Factor on the scanner's noise along the ray; 0 switches it off."""
+    frame_scale: float = 1.0
+    """Factor on the scanner's frame scale; 0 switches it off."""
+    pose_m: float = 0.02e-3
+    """Standard deviation of the scanner's position per frame and axis [m]."""
+    pose_rad: float = float(np.deg2rad(0.003))
+    """Standard deviation of the scanner's orientation per frame and axis [rad]."""
+    hand_eye_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Constant displacement of the true scanner from the nominal one, along S [m]."""
+    hand_eye_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Constant rotation vector of the true scanner against the nominal one, along S [rad]."""
+    axis_m: tuple[float, float] = (0.0, 0.0)
+    """Displacement of the table's true axis, along x and y of T [m]."""
+    axis_rad: tuple[float, float] = (0.0, 0.0)
+    """Tilt of the table's true axis about x and y of T [rad]."""
+    backlash_rad: float = 0.0
+    """Play of the table: the object lags by half of it behind the sense of motion [rad]."""
+
+    @property
+    def constant(self) -> bool:
+        """Whether any error is the same in all frames, which calibration can find."""
+        return bool(self.backlash_rad) or any(
+            (*self.hand_eye_m, *self.hand_eye_rad, *self.axis_m, *self.axis_rad)
+        )
+
+    @staticmethod
+    def none() -> "ScanErrors":
+        """A perfect measurement."""
+        return ScanErrors(range_noise=0.0, frame_scale=0.0, pose_m=0.0, pose_rad=0.0)
+
+
+def captures_from_trajectory(
+    trajectory: Trajectory,
+    scanner_poses_fn: Callable[[np.ndarray], np.ndarray],
+    *,
+    fps: float,
+    X_WT: np.ndarray,
+    X_TO: np.ndarray,
+) -> Captures:
+    """The frames taken along a trajectory: `fps` a second while an operation scans, from its first instant.
+
+    Args:
+        trajectory: joint positions over time.
+        scanner_poses_fn: forward kinematics, (n, 7) [rad] -> X_WS (n, 4, 4).
+        fps: frames a second.
+        X_WT: pose of the table at angle zero, shape (4, 4).
+        X_TO: pose of the object on the table, shape (4, 4).
+
+    Raises:
+        InputError: `fps` is not a positive number.
+    """
+    if not np.isfinite(fps) or fps <= 0:
+        raise InputError(f"{fps} frames a second: a positive number is expected")
+    spans = [(o.t_start, o.t_end) for o in trajectory.operations if o.scanning]
+    # A frame that falls on the end of a span by rounding belongs to it.
+    times = [a + np.arange(int((b - a) * fps + 1e-9) + 1) / fps for a, b in spans]
+    t = np.clip(np.concatenate([np.zeros(0), *times]), 0.0, trajectory.duration)
+    q = CubicHermiteSpline(trajectory.t, trajectory.q, trajectory.qd)(t) if len(t) else np.zeros((0, 7))
+    X_WS = np.asarray(scanner_poses_fn(q)).reshape(-1, 4, 4)
+    return Captures(
+        t=t, X_WS=X_WS, table_angle=q[:, 6], X_WT=np.asarray(X_WT, float), X_TO=np.asarray(X_TO, float),
+        table_sense=_sense(trajectory, t),
+    )  # fmt: skip
+
+
+def still_captures(X_OS: np.ndarray, *, fps: float = 10.0) -> Captures:
+    """Captures at given poses in the object frame, the table at rest in the world's origin.
+
+    Args:
+        X_OS: shape (n, 4, 4).
+        fps: spaces the times.
+    """
+    n = len(X_OS)
+    return Captures(
+        t=np.arange(n) / fps, X_WS=np.asarray(X_OS, float), table_angle=np.zeros(n), X_WT=np.eye(4),
+        X_TO=np.eye(4),
+    )  # fmt: skip
+
+
+def _sense(trajectory: Trajectory, t: np.ndarray) -> np.ndarray:
+    """Sense of the table's last motion at each time; it is kept while the table rests."""
+    speed = np.where(np.abs(trajectory.qd[:, 6]) > 1e-6, np.sign(trajectory.qd[:, 6]), 0.0)
+    last = np.maximum.accumulate(np.where(speed != 0, np.arange(len(speed)), 0))
+    at = np.clip(np.searchsorted(trajectory.t, t, side="left"), 0, len(speed) - 1)
+    return speed[last][at]
+
+
+def true_poses(captures: Captures, errors: ScanErrors, rng: np.random.Generator) -> np.ndarray:
+    """Where the scanner really stands in the object frame when each frame is taken, shape (n, 4, 4)."""
+    n = len(captures)
+    noise = rng.standard_normal((n, 6)) * ([errors.pose_m] * 3 + [errors.pose_rad] * 3)
+    hand_eye = motion(np.array([[*errors.hand_eye_m, *errors.hand_eye_rad]]))
+    axis = motion(np.array([[*errors.axis_m, 0.0, *errors.axis_rad, 0.0]]))
+    sense = np.zeros(n) if captures.table_sense is None else captures.table_sense
+    angle = captures.table_angle - 0.5 * errors.backlash_rad * sense
+    X_WO = captures.X_WT @ axis @ turned(angle) @ captures.X_TO
+    return inverse(X_WO) @ captures.X_WS @ motion(noise) @ hand_eye
+
+
+def motion(twist: np.ndarray) -> np.ndarray:
+    """Poses from displacements and rotation vectors, (n, 6) [m, rad] -> (n, 4, 4)."""
+    X = np.tile(np.eye(4), (len(twist), 1, 1))
+    X[:, :3, 3] = twist[:, :3]
+    X[:, :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix()
+    return X
+
+
+def turned(angle: np.ndarray) -> np.ndarray:
+    """Turns about z, (n,) [rad] -> (n, 4, 4)."""
+    X = np.tile(np.eye(4), (len(angle), 1, 1))
+    c, s = np.cos(angle), np.sin(angle)
+    X[:, 0, 0], X[:, 0, 1], X[:, 1, 0], X[:, 1, 1] = c, -s, s, c
+    return X
+
+
+def inverse(X: np.ndarray) -> np.ndarray:
+    """Inverse poses, shape (n, 4, 4)."""
+    Y = np.zeros_like(X)
+    Rt = np.swapaxes(X[:, :3, :3], 1, 2)
+    Y[:, :3, :3] = Rt
+    Y[:, :3, 3] = -np.einsum("nij,nj->ni", Rt, X[:, :3, 3])
+    Y[:, 3, 3] = 1.0
+    return Y

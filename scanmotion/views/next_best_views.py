@@ -1,0 +1,194 @@
+"""The local step with occlusion: which poses see what the scan has missed, at the least seconds.
+
+Works from the scan alone: the unseen patches of its closed model are the targets, candidates around them are
+scored by what camera and projector would see of them, and only what the robot reaches is chosen.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from scanmotion.core.scanner import Scanner
+from scanmotion.core.viewpoint import Slack, Viewpoint
+from scanmotion.sensing.closed_surface import ClosedModel, closed_model
+from scanmotion.sensing.free_space import Space
+from scanmotion.sensing.holes.find import Hole
+from scanmotion.views.candidate_views import ASKED, CandidateOptions, Candidates, Reachable, candidates
+from scanmotion.views.targets import TargetOptions, drawn, missed, near, sight_of
+from scanmotion.views.unscanned import CANNOT_BE_SEEN, Patch, patches, why_open
+
+STATION_S, REVOLUTION_S = 1.8, 9.2
+"""What a station and a revolution cost beside the way there, for weighing them against each other [s]."""
+SECONDS_PER_METRE = 12.0
+"""The scanner's way at 0.1 m/s with its ramps [s/m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectOptions:
+    """How finely to look."""
+
+    candidates: CandidateOptions = field(default_factory=CandidateOptions)
+    targets: TargetOptions = field(default_factory=TargetOptions)
+    behind: float = 0.04
+    """Targets are seen at least this far inside the range's end [m]."""
+    most: int = 24
+    """Most viewpoints chosen in one round."""
+    least_rate: float = 2.5e-5
+    """A viewpoint that adds less than this share of the surface per second is not worth its seconds [1/s]."""
+    wary: float = 0.0
+    """Of the greatest incidence, kept in hand when seeing is promised: the normals of what was missed are
+    guessed [rad]."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LocalStep:
+    """What a round of the local step asks for."""
+
+    viewpoints: tuple[Viewpoint, ...]
+    unseen: tuple[Patch, ...]
+    """What the scan shows to be missed and no viewpoint will see, or an earlier one has tried in vain; empty
+    where no explanation was asked for."""
+    model: ClosedModel
+    targets: np.ndarray
+    """Points on the unseen patches, shape (m, 3)."""
+    claimed: np.ndarray
+    """Targets that the viewpoints should see, shape (k, 3): what stays open there is not tried again."""
+    gains: tuple[float, ...]
+    """Area that each viewpoint adds, in the order of choice [m2]."""
+
+
+def local_step(
+    points: np.ndarray,
+    normals: np.ndarray,
+    holes: Sequence[Hole],
+    scanner: Scanner,
+    *,
+    spacing: float,
+    table_radius: float,
+    table_z: float = 0.0,
+    pedestal_radius: float = 0.0,
+    space: Space | None = None,
+    claimed: np.ndarray | None = None,
+    model: ClosedModel | None = None,
+    reachable: Reachable | None = None,
+    seconds: float = np.inf,
+    explain: bool = True,
+    options: SelectOptions | None = None,
+    rng: np.random.Generator,
+) -> LocalStep:
+    """Chooses viewpoints for what a scan has missed.
+
+    Args:
+        points: the fused scan, shape (n, 3) in O [m].
+        normals: outward, shape (n, 3).
+        holes: their rims' normals add candidates that look straight in.
+        scanner: field, range, incidence, baseline.
+        spacing: of the points [m].
+        table_radius: of the table's disc [m].
+        table_z: its height in O [m].
+        pedestal_radius: of the pedestal under the part [m]; 0 for none.
+        space: what the frames have looked through; None where the frames are not known.
+        claimed: targets that earlier rounds should have seen, shape (k, 3).
+        model: of an earlier round, whose shape is kept but for what frames have looked through since; None
+            makes one of the points.
+        reachable: tells which poses (n, 4, 4) the robot reaches; None for all.
+        seconds: what the chosen may take together, roughly [s].
+        explain: whether to say why what stays open does; reach is then asked of many more candidates.
+        options: how finely to look.
+        rng: draws the targets.
+    """
+    options = options or SelectOptions()
+    passed = None if space is None else space.passed
+    if model is None:
+        model = closed_model(points, normals, spacing=spacing, table_z=table_z, passed=passed)
+    else:
+        model = model.measured(points, passed)
+    open_ = missed(
+        model, points, spacing=spacing, space=space, holes=holes, table_z=table_z, options=options.targets
+    )
+    tried = near(open_, claimed, 1.5 * model.cell)
+    vain = patches(open_.only(tried), np.full(int(tried.sum()), CANNOT_BE_SEEN)) if explain else ()
+    targets = drawn(open_.only(~tried), options.targets.most, rng)
+    if len(targets) == 0:
+        none = targets.points
+        return LocalStep(viewpoints=(), unseen=vain, model=model, targets=none, claimed=none, gains=())
+    # What lies behind a target is farther than the target.
+    least, most = scanner.range
+    careful = replace(
+        scanner, range=(least, most - options.behind), max_incidence=scanner.max_incidence - options.wary
+    )
+    found = candidates(
+        sight_of(model, table_radius=table_radius, table_z=table_z, pedestal_radius=pedestal_radius),
+        careful, targets,
+        solid=model.vertices, holes=holes, reachable=reachable, table_radius=table_radius, table_z=table_z,
+        options=options.candidates,
+    )  # fmt: skip
+    chosen, gains = _chosen(found, targets.areas, options.least_rate * model.area, seconds, options.most)
+    views = tuple(
+        _view(found.X_OS[c], bool(found.turns[c]), f"L{n}", g)
+        for n, (c, g) in enumerate(zip(chosen, gains, strict=True), 1)
+    )
+    covered = np.asarray(found.sees[chosen].any(axis=0)) if chosen else np.zeros(len(targets), bool)
+    left = np.flatnonzero(~covered)
+    why = patches(targets.only(left), why_open(found, left)) if explain else ()
+    return LocalStep(
+        viewpoints=views,
+        unseen=tuple(sorted(vain + why, key=lambda p: -p.area)),
+        model=model, targets=targets.points, claimed=targets.points[covered], gains=tuple(gains),
+    )  # fmt: skip
+
+
+def _chosen(
+    found: Candidates, areas: np.ndarray, least: float, seconds: float, most: int
+) -> tuple[list[int], list[float]]:
+    """Candidates by greatest gain per second, and what each adds to the others [m2].
+
+    A second choice counts the way from the nearest viewpoint already chosen; the table turns any azimuth
+    before the arm, so that only radius and height of the scanner count.
+    """
+    place = np.column_stack([np.linalg.norm(found.X_OS[:, :2, 3], axis=1), found.X_OS[:, 2, 3]])
+    gaining = np.flatnonzero(found.sees.any(axis=1))
+    table = found.sees[gaining].astype(np.float32)
+    base = np.where(found.turns, REVOLUTION_S, STATION_S)[gaining]
+    way = np.full(len(gaining), 0.3)
+    open_, rows, spent = areas.astype(np.float32), [], 0.0
+    while len(gaining) and len(rows) < most:
+        gain = table @ open_
+        cost = base + SECONDS_PER_METRE * way
+        rate = np.where(found.known[gaining] & ~found.reached[gaining], -1.0, gain / cost)
+        best = int(np.argmax(rate))
+        if rate[best] < least or spent + cost[best] > seconds:
+            break
+        if not found.known[gaining[best]]:
+            found.ask(gaining[np.argsort(-rate, kind="stable")[:ASKED]])
+            continue
+        rows.append(int(gaining[best]))
+        spent += float(cost[best])
+        open_[found.sees[rows[-1]]] = 0.0
+        way = np.minimum(way, np.linalg.norm(place[gaining] - place[rows[-1]], axis=1))
+    return _pruned(found.sees, areas, found.turns, rows, least)
+
+
+def _pruned(
+    matrix: np.ndarray, areas: np.ndarray, kinds: np.ndarray, rows: list[int], least: float
+) -> tuple[list[int], list[float]]:
+    """Without the rows that later ones made superfluous, the worst first, and what each adds alone [m2]."""
+    rows = list(rows)
+    while rows:
+        count = matrix[rows].sum(axis=0)
+        alone = np.array([areas[matrix[r] & (count == 1)].sum() for r in rows])
+        rate = alone / (np.where(kinds[rows], REVOLUTION_S, STATION_S) + 0.1 * SECONDS_PER_METRE)
+        worst = int(np.argmin(rate))
+        if rate[worst] >= least:
+            return rows, [float(a) for a in alone]
+        del rows[worst]
+    return [], []
+
+
+def _view(X_OS: np.ndarray, turns: bool, name: str, gain: float) -> Viewpoint:
+    return Viewpoint(
+        id=name, X_OS=X_OS, standoff=0.7 if turns else 0.55, step="local",
+        kind="revolution" if turns else "station", slack=Slack(roll=False),
+        note=f"adds {gain * 1e4:.1f} cm2",
+    )  # fmt: skip
