@@ -102,6 +102,8 @@ class Plan:
     """Calibration and registration, where there were any."""
     helix: dict[str, Any] | None = None
     """What came of joining turns, where that was allowed."""
+    motion: dict[str, Any] | None = None
+    """The continuous motion, where one was asked for and found."""
 
     @property
     def viewpoints(self) -> tuple[Viewpoint, ...]:
@@ -169,7 +171,8 @@ class Plan:
         split = {"arm": 0.0, "table": 0.0, "sweep": 0.0, "dwell": 0.0}
         for o in self.trajectory.operations if self.trajectory is not None else ():
             arm_moves = np.abs(o.q_end[:6] - o.q_start[:6]).max() > 1e-9
-            key = {"revolution": "table", "helix": "table", "sweep": "sweep", "dwell": "dwell"}.get(o.kind)
+            key = {"revolution": "table", "helix": "table", "path": "table", "sweep": "sweep",
+                   "dwell": "dwell"}.get(o.kind)  # fmt: skip
             split[key or ("arm" if arm_moves else "table")] += o.t_end - o.t_start
         total = self.trajectory.duration if self.trajectory is not None else 0.0
         floor = sum(r.leg.tour.floor for r in self.rounds)
@@ -222,6 +225,7 @@ class Plan:
             "time_s": {k: round(v, 3) for k, v in time_s.items()},
             "budget": self.budget(),
             **({} if self.helix is None else {"helix": self.helix}),
+            **({} if self.motion is None else {"motion": self.motion}),
             "findings": [str(f) for f in self.findings],
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
         }

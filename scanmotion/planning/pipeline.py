@@ -16,12 +16,14 @@ from scanmotion.core.trajectory import joined as in_a_row
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.geometry.parts import check_fits, surface_samples
 from scanmotion.motion.reach.find import reachable_mask
+from scanmotion.motion.continuous.choose import ContinuousOptions
+from scanmotion.planning.continuous import Wanted, continuous_programme
 from scanmotion.planning.evidence import THOROUGH_RATE, Search, Surroundings
 from scanmotion.planning.helices import joined
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.outcome import Plan, Round, Stopwatch
 from scanmotion.planning.prune import not_worth, stops_seen
-from scanmotion.planning.segment import Leg, Progress, leg_from, renamed, silent, with_left_out
+from scanmotion.planning.segment import Leg, Progress, leg_from, renamed, served_at, silent, with_left_out
 from scanmotion.planning.twin import Twin
 from scanmotion.sensing.closed_surface import closed_model
 from scanmotion.sensing.corrections import Mender, Mending
@@ -63,6 +65,8 @@ def plan(
         CellError: an obstacle stands where the table turns.
     """
     trip = Trip(part, settings, options or PlanOptions(), progress)
+    if trip.options.motion == "continuous" and trip.continuous():
+        return trip.plan()
     if trip.options.source == "scan":
         trip.take_scan()
     elif trip.options.strategy == "two-step":
@@ -127,6 +131,7 @@ class Trip:
         self.search = Search(self.scanner, self._surroundings(), voxel=self.spacing, stride=options.stride)
         self.twin: Twin | None = None
         self.helix: dict[str, Any] | None = None
+        self.motion: dict[str, Any] | None = None
         self.seen = np.zeros(options.samples if options.source == "mesh" else 0, bool)
         if options.source == "mesh":
             self.twin = Twin(
@@ -179,6 +184,33 @@ class Trip:
         self.dropped += list(step.dropped)
         self.run(step.viewpoints, "global", self._rng(2))
         self.after_global = self._state()
+
+    def continuous(self) -> bool:
+        """One continuous motion in place of both steps; whether one was found."""
+        assert self.twin is not None
+        options, s = self.options, self.twin.samples
+        with self.watch("visible"):
+            visible = self.twin.visible(self.seen)
+        with self.watch("motion"):
+            made = continuous_programme(
+                self.cell, self.clearance, self.part, self.twin.scene,
+                samples=(s.points, s.normals), visible=visible, start_q=self.at,
+                wanted=Wanted(
+                    completeness=options.completeness, budget_s=self.settings.process.budget_s,
+                    fill=options.fill,
+                ),
+                options=ContinuousOptions(), rng=self._rng(40),
+                progress=lambda f: self.progress("motion", f),
+            )  # fmt: skip
+        if made is None:
+            return False
+        self.motion = made.record
+        leg = Leg(
+            reaches=tuple(served_at(v, q[None]) for v, q in zip(made.viewpoints, made.q, strict=True)),
+            tour=made.tour, paths=made.paths, trajectory=made.trajectory, unreachable=(),
+        )  # fmt: skip
+        self.take(leg, "global", self._rng(2))
+        return True
 
     def single_step(self) -> None:
         """One of the two methods that the paper compares with; both need the mesh."""
@@ -396,5 +428,5 @@ class Trip:
             out_of_reach=out_of_reach,
             dropped=tuple(self.dropped), unscanned=self.unscanned, planning_s=self.watch.seconds(),
             scans=tuple(self.scans) if self.options.keep_scans else (),
-            mending=None if self.mender is None else self.mender.mending, helix=self.helix,
+            mending=None if self.mender is None else self.mender.mending, helix=self.helix, motion=self.motion,
         )  # fmt: skip

@@ -12,13 +12,12 @@ from scanmotion.core.tour import Stop, Tour
 from scanmotion.core.trajectory import Operation, Trajectory
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.motion.order.lower_bound import floor_seconds
-from scanmotion.motion.reach.find import Reach
 from scanmotion.motion.transit_cost import move_model
 from scanmotion.plan_io.load import LoadedPlan, load_plan
 from scanmotion.plan_io.summary import read_cloud
 from scanmotion.planning.outcome import Plan
 from scanmotion.planning.pipeline import PlanOptions, Trip
-from scanmotion.planning.segment import Leg, Progress, silent
+from scanmotion.planning.segment import Leg, Progress, served_at, silent
 from scanmotion.sensing.fusion.fuse import Cloud
 
 __all__ = ["replan"]
@@ -155,7 +154,7 @@ def _executed(trip: Trip, piece: Trajectory, views: dict[str, Viewpoint]) -> Leg
         start_q=piece.q[0], stops=tuple(stops), seconds=piece.duration,
         floor=floor_seconds(trip.cell, model, piece.q[0], stops, views),
     )  # fmt: skip
-    reaches = tuple(_reach(views[v], q[None]) for v, q in served.items())
+    reaches = tuple(served_at(views[v], q[None]) for v, q in served.items())
     return Leg(reaches=reaches, tour=tour, paths=(), trajectory=piece, unreachable=())
 
 
@@ -165,7 +164,7 @@ def _leave_out(trip: Trip, lost: Sequence[Viewpoint], reasons: dict[str, str]) -
     last = trip.rounds.pop()
     leg = replace(
         last.leg,
-        reaches=last.leg.reaches + tuple(_reach(v, np.zeros((0, 7))) for v in lost),
+        reaches=last.leg.reaches + tuple(served_at(v, np.zeros((0, 7))) for v in lost),
         unreachable=last.leg.unreachable + tuple((v.id, reasons[v.id]) for v in lost),
     )
     trip.rounds.append(replace(last, leg=leg))
@@ -176,13 +175,4 @@ def _cloud(folder: Path) -> Cloud:
     points, normals = read_cloud(folder)
     return Cloud(
         points=points, normals=normals, view_directions=normals, counts=np.ones(len(points), np.int64)
-    )  # fmt: skip
-
-
-def _reach(viewpoint: Viewpoint, q: np.ndarray) -> Reach:
-    """A viewpoint with what is known of its configurations."""
-    k = len(q)
-    return Reach(
-        viewpoint=viewpoint, q=q, clearance=np.zeros(k), manipulability=np.zeros(k),
-        X_OS=np.tile(viewpoint.X_OS, (k, 1, 1)),
     )  # fmt: skip
