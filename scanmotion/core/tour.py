@@ -15,8 +15,8 @@ class Stop:
 
     A revolution turns the table once (q_out is q_in with E1 +-2 pi), a sweep follows `path` with the table
     still, a dwell stays at q_in. A helix is several revolutions in one: the table turns on while the arm goes
-    from place to place along `ways`. A path goes along `ways` too and stays at each place for its dwell, while
-    the table makes its `turns` one after another; neither waits for the other.
+    from place to place along `ways`. A path goes along `ways` too and stays at each place for its dwell,
+    while the table makes its `turns` one after another; neither waits for the other.
     """
 
     viewpoints: tuple[str, ...]

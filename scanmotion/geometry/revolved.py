@@ -28,10 +28,11 @@ def swept_part(part: Part) -> Part:
     radius = np.maximum(radius, 0.005) / np.cos(np.pi / _SIDES)
     # Each row is a band of its greatest radius: between bands the profile steps.
     profile = np.column_stack([np.repeat(radius, 2), np.repeat(level, 2)[1:-1]])
-    return Part(name=part.name, **_revolved(profile))
+    vertices, triangles = _revolved(profile)
+    return Part(name=part.name, vertices=vertices, triangles=triangles)
 
 
-def _revolved(profile: np.ndarray) -> dict[str, np.ndarray]:
+def _revolved(profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and triangles of a closed solid with this profile of (radius, height), bottom to top."""
     a = 2 * np.pi * np.arange(_SIDES) / _SIDES
     rings = [np.column_stack([r * np.cos(a), r * np.sin(a), np.full(_SIDES, z)]) for r, z in profile]
@@ -44,4 +45,4 @@ def _revolved(profile: np.ndarray) -> dict[str, np.ndarray]:
     n, top = len(vertices), (len(profile) - 1) * _SIDES
     triangles.append(np.column_stack([np.full(_SIDES, n - 2), j, i]))
     triangles.append(np.column_stack([np.full(_SIDES, n - 1), top + i, top + j]))
-    return {"vertices": vertices, "triangles": np.concatenate(triangles)}
+    return vertices, np.concatenate(triangles)

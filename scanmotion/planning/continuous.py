@@ -1,11 +1,11 @@
 """The programme as one continuous motion: arm and table move at once, the scanner captures all the time.
 
-Guarantee: the motion keeps every limit and clearance, and what it sees is counted with true rays at the frames
-that it takes. Assumption: the surface is known, as it is where the twin scans a mesh.
+Guarantee: the motion keeps every limit and clearance, and what it sees is counted with true rays at the
+frames that it takes. Assumption: the surface is known, as it is where the twin scans a mesh.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,13 +19,22 @@ from scanmotion.core.tour import Path, Stop, Tour
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Slack, Viewpoint
 from scanmotion.geometry.parts import surface_samples
-from scanmotion.motion.continuous.choose import Continuous, ContinuousOptions, ContinuousSearch, renamed
+from scanmotion.motion.continuous.choose import Continuous, ContinuousSearch, renamed
+from scanmotion.motion.continuous.options import ContinuousOptions
 from scanmotion.motion.order.lower_bound import floor_seconds
 from scanmotion.motion.timing.operations import time_plan
 from scanmotion.motion.transit_cost import move_model
+from scanmotion.planning.context import Context
+from scanmotion.planning.segment import Segment, served_at
+from scanmotion.planning.state import PlanState, with_segment
 from scanmotion.sensing.visibility import Scene, seen_by_any
 from scanmotion.views.turn_poses import turn_poses
 
+NO_MOTION = {
+    "kind": "stops", "note": "no continuous motion can be driven past this part in this cell: stops instead",
+}  # fmt: skip
+_STREAM = 40
+"""Of random numbers."""
 _STEPS = 4
 """So often the price of surface is changed to come to a completeness or a budget."""
 _FACTOR = 2.5
@@ -102,12 +111,11 @@ def continuous_programme(
         start_q: where the programme stands, shape (7,) [rad].
         wanted: completeness or budget.
         options: how hard to search.
-        rng: source of the search's places and of its seed.
+        rng: source of the search's places and moves.
         progress: told the share done.
     """
     scanner = cell.settings.scanner_model()
     drawn = surface_samples(part, options.places, rng=rng)
-    seed = int(rng.integers(1, 2**31 - 1))
     table_z = -float(cell.X_TO[2, 3])
     search = ContinuousSearch(
         cell, clearance, scene, scanner, points=drawn.points, normals=drawn.normals,
@@ -117,7 +125,7 @@ def continuous_programme(
 
     def attempt(price: float, begin: Tried | None) -> Tried | None:
         found = search.found(
-            price, seed=seed, longest=wanted.budget_s, begin=None if begin is None else begin.found.choice
+            price, rng=rng, longest=wanted.budget_s, begin=None if begin is None else begin.found.choice
         )
         if found is None:
             return None
@@ -222,3 +230,34 @@ def _record(best: Tried, tried: list[Tried]) -> dict[str, Any]:
         "note": f"one motion of {best.seconds:.1f} s, arm and table at once, the scanner always on: "
         f"{best.completeness:.2%} of what can be seen",
     }  # fmt: skip
+
+
+def continuous_step(ctx: Context, state: PlanState) -> PlanState | None:
+    """The state with one continuous motion in place of all steps; None where none can be driven.
+
+    Args:
+        ctx: what planning reads; it knows the true surface.
+        state: nothing is planned yet.
+    """
+    assert ctx.simulator is not None
+    options, s = ctx.options, ctx.simulator.samples
+    with ctx.watch("visible"):
+        state = replace(state, visible=ctx.simulator.visible(state.seen))
+    assert state.visible is not None
+    with ctx.watch("motion"):
+        made = continuous_programme(
+            ctx.cell, ctx.clearance, ctx.part, ctx.simulator.scene,
+            samples=(s.points, s.normals), visible=state.visible, start_q=ctx.cell.home,
+            wanted=Wanted(completeness=options.completeness, budget_s=ctx.budget_s, fill=options.fill),
+            options=options.search, rng=ctx.rng(_STREAM),
+            progress=lambda f: ctx.progress("motion", f),
+        )  # fmt: skip
+    if made is None:
+        return None
+    segment = Segment(
+        step="global", reaches=tuple(
+            served_at(v, q[None]) for v, q in zip(made.viewpoints, made.q, strict=True)
+        ),
+        tour=made.tour, paths=made.paths, trajectory=made.trajectory, unreachable=(), seen=state.seen,
+    )  # fmt: skip
+    return with_segment(ctx, replace(state, motion=made.record), segment, ctx.rng(2))

@@ -1,9 +1,10 @@
 """What a plan may be told beside the part and the cell."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from scanmotion.core.errors import InputError
+from scanmotion.motion.continuous.options import ContinuousOptions
 from scanmotion.sensing.simulator.captures import ScanErrors
 
 Source = Literal["mesh", "box", "scan"]
@@ -58,6 +59,8 @@ class PlanOptions:
     second is worth decides."""
     fill: bool = False
     """A continuous motion uses up the budget for as much as can be seen in it."""
+    search: ContinuousOptions = field(default_factory=ContinuousOptions)
+    """How hard a continuous motion is sought."""
     helix: bool = False
     """Neighbouring turns of the global step may be joined, the arm moving while the table turns."""
 

@@ -15,6 +15,7 @@ from scanmotion.cell.kinematics import scanner_in_object
 from scanmotion.core.scanner import Scanner
 from scanmotion.core.tour import Stop
 from scanmotion.motion.continuous.nodes import nodes_from, swept_clearance
+from scanmotion.motion.continuous.options import ContinuousOptions
 from scanmotion.motion.continuous.realise import Realised, Ways, free, realised
 from scanmotion.motion.continuous.search import (
     Choice,
@@ -31,28 +32,6 @@ from scanmotion.sensing.visibility import Scene
 _TABLE = 6
 _COARSE_NODES, _COARSE_ANGLES, _COARSE_CELLS = 240, 12, 24
 _SORT_CELLS = 8
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContinuousOptions:
-    """How hard to search; every number counts work, none counts seconds of the planner."""
-
-    price: float = 10_000.0
-    """Seconds that the whole surface is worth: a second is spent for a ten-thousandth of it."""
-    twice: float = 0.3
-    """Share of a place's worth that is paid only where two frames from different sides see it."""
-    places: int = 40_000
-    """Places drawn on the surface."""
-    hard: int = 6_000
-    """Of these, the ones that are looked at in the search: those that fewest poses see."""
-    evaluations: int = 20_000
-    """Motions that are looked at."""
-    again: int = 3_000
-    """Motions that are looked at again, each time that the realisation has shown other times or blocked ways."""
-    rounds: int = 6
-    """Most realisations."""
-    azimuths: tuple[float, ...] = tuple(np.deg2rad([0.0, -25.0, 25.0, -50.0, 50.0]))
-    """Azimuths about the robot's side of the table at which nodes are sought [rad]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,7 +79,7 @@ class ContinuousSearch:
         self.cell, self._clearance, self.options = cell, clearance, options
         self.start_q = np.asarray(start_q, dtype=float)
         swept = swept_clearance(cell)
-        self.nodes = nodes_from(cell, swept, self.start_q, poses, azimuths=np.array(options.azimuths))
+        self.nodes = nodes_from(cell, swept, self.start_q, poses, azimuths=np.deg2rad(options.azimuths_deg))
         self._ways = Ways(cell, swept, self.nodes, float(self.start_q[_TABLE]))
         hard = _hard_places(scene, scanner, points, normals, self.nodes, options.hard)
         self.sight = sight_from(scene, scanner, points[hard], normals[hard])
@@ -113,13 +92,13 @@ class ContinuousSearch:
         )  # fmt: skip
 
     def found(
-        self, price: float, *, seed: int, longest: float = np.inf, begin: Choice | None = None
+        self, price: float, *, rng: np.random.Generator, longest: float = np.inf, begin: Choice | None = None
     ) -> Continuous | None:
         """The best motion found at a price; None where none can be driven.
 
         Args:
             price: seconds that the whole surface is worth [s].
-            seed: of the random numbers.
+            rng: source of the random numbers.
             longest: what the programme may take [s].
             begin: a choice to begin with.
         """
@@ -127,10 +106,10 @@ class ContinuousSearch:
         weighing = Weighing(price=price, twice=options.twice, longest=min(longest, 1e6), total=options.places)
         choice, best = begin, None
         hot, work = (4.0 if begin is None else 1.5), options.evaluations
-        for n in range(options.rounds):
+        for _ in range(options.rounds):
             choice = annealed(
                 self.nodes, self.sight, self.turns, self._drive, weighing,
-                begin=choice, evaluations=work, hot=hot, seed=seed + n,
+                begin=choice, evaluations=work, hot=hot, rng=rng,
             )  # fmt: skip
             hot, work = 0.5, options.again
             if len(choice.nodes) < 2:

@@ -220,7 +220,9 @@ def _check_range(cell: Cell, path: JointSpline, viewpoints: tuple[str, ...]) -> 
         )
 
 
-def _sampled(placed: Sequence[Motion | HelixMotion | PathMotion], start_q: np.ndarray, sample_s: float) -> Trajectory:
+def _sampled(
+    placed: Sequence[Motion | HelixMotion | PathMotion], start_q: np.ndarray, sample_s: float
+) -> Trajectory:
     """The operations one after another, each ending on a whole 10 ms, sampled evenly."""
     if not placed:
         still = np.zeros((1, 7))
