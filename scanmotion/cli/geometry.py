@@ -23,14 +23,17 @@ from scanmotion.cli.inputs import (
     check_suffix,
     only_one,
     part_and_source,
+    say_read,
     write_text,
 )
-from scanmotion.core.errors import InputError, PartError
+from scanmotion.core.errors import InputError
 
 
 def holes(
-    file: Annotated[Path, typer.Argument(help="Cloud or mesh (PLY, STL, OBJ, PCD, XYZ).")],
-    units: Annotated[str, typer.Option("--units", help="Unit of the file; mm unless its size says m.")] = "",
+    file: Annotated[Path, typer.Argument(help="Cloud or mesh (PLY, STL, OBJ, PCD, XYZ, ..).")],
+    units: Annotated[
+        str, typer.Option("--units", help="Unit of the file; what it states, else mm unless its size says m.")
+    ] = "",
     up: Up = "+z",
     mode: Mode = "default",
     out: Annotated[
@@ -49,6 +52,7 @@ def holes(
     check_suffix("--out", out, ".json")
     part = scan_from(file, units, up)
     report = holes_of(part, mode)
+    say_read(part, quiet=json)
     document = hole_report_to_json(report, part)
     if out is not None:
         write_text(out, dumps(document))
@@ -91,17 +95,7 @@ def scan_from(file: Path, units: str, up: str) -> Any:
     """A scan whose unit need not be known: holes are found relative to the spacing of its points."""
     from scanmotion.geometry.parts import part_from_file
 
-    if units:
-        return part_from_file(file, units=units, up=up)
-    try:
-        return part_from_file(file, units="mm", up=up)
-    except PartError as in_mm:
-        if "--units" not in str(in_mm):
-            raise
-        try:
-            return part_from_file(file, units="m", up=up)
-        except PartError:
-            raise in_mm from None
+    return part_from_file(file, units=units or None, up=up, guess=True)
 
 
 def holes_of(part: Any, mode: str) -> Any:
@@ -109,7 +103,7 @@ def holes_of(part: Any, mode: str) -> Any:
     from scanmotion.sensing.holes.find import holes_from_cloud, holes_from_mesh
 
     if part.is_mesh:
-        return holes_from_mesh(part.vertices, part.triangles, mode=mode)
+        return holes_from_mesh(part.vertices, part.triangles, mode=mode, weld=part.report is None)
     return holes_from_cloud(part.vertices, normals=part.normals, mode=mode)  # pyright: ignore
 
 
@@ -125,7 +119,7 @@ def viewpoints(
     box: Box = None,
     part: PartFile = None,
     scan: ScanFile = None,
-    units: Units = "mm",
+    units: Units = "",
     up: Up = "+z",
     place: Place = "",
     robot: Robot = None,
@@ -144,6 +138,7 @@ def viewpoints(
     settings = cell_from(robot, cell)
     subject, source = part_and_source(part, box, scan, units=units, up=up, place=place)
     chosen, dropped = choose_viewpoints(subject, source, settings, mode)
+    say_read(subject, quiet=json)
     if out is not None:
         from scanmotion.export.viewpoints import write_viewpoints
 

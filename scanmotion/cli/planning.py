@@ -26,6 +26,7 @@ from scanmotion.cli.inputs import (  # fmt: skip
     check_mode,
     check_out_folder,
     part_and_source,
+    say_read,
 )
 from scanmotion.core.errors import InputError
 
@@ -41,7 +42,7 @@ def plan(
     part: PartFile = None,
     box: Box = None,
     scan: ScanFile = None,
-    units: Units = "mm",
+    units: Units = "",
     up: Up = "+z",
     place: Place = "",
     budget: Annotated[
@@ -148,6 +149,8 @@ def plan(
             told |= {"thorough": thorough, "tidy": tidy}
             made = planned(subject, settings, progress, **told, **twin)
         made.save(out, extras=pages(made, progress) if html else {})
+    if subject is not None:
+        say_read(subject, quiet=quiet or json)
     summary = read_summary(out)
     if json:
         say_json(summary)
