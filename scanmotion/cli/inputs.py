@@ -146,9 +146,11 @@ def check_out_folder(out: Path) -> None:
     """
     import os
 
+    from scanmotion.cli.complete import holds_answer
+
     if out.is_symlink() or (out.exists() and not out.is_dir()):
         raise InputError(f"--out {out}: is not a folder")
-    if out.is_dir() and any(out.iterdir()) and not (out / "plan.json").is_file():
+    if out.is_dir() and any(out.iterdir()) and not ((out / "plan.json").is_file() or holds_answer(out)):
         raise InputError(f"--out {out}: holds something that is not a plan; name another folder")
     parent = out.resolve().parent
     while not parent.exists():
