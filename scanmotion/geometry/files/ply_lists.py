@@ -1,24 +1,63 @@
-"""Rows of a binary PLY that hold lists: in one read where all lists are equally long, else walked."""
+"""Elements of a PLY; rows of binary ones that hold lists, in one read where all are alike, else walked."""
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 
 from scanmotion.core.errors import PartError
 from scanmotion.geometry.files.raw import Polygons
 
-if TYPE_CHECKING:
-    from scanmotion.geometry.files.ply_read import Element, Table
+FACE_NAMES = ("face", "faces", "polygon", "triangle")
 
 
-def lists_of(data: bytes, element: "Element", at: int, order: str) -> tuple["Table", int]:
+@dataclass(frozen=True, kw_only=True)
+class Property:
+    """One property of an element; `length` is the type of a list's length, "" for a scalar."""
+
+    name: str
+    kind: str
+    length: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Element:
+    name: str
+    count: int
+    properties: tuple[Property, ...]
+
+    @property
+    def has_lists(self) -> bool:
+        return any(p.length for p in self.properties)
+
+    @property
+    def least_size(self) -> int:
+        """Fewest bytes of one row of a binary file."""
+        return sum(int((p.length or p.kind)[1:]) for p in self.properties)
+
+    @property
+    def index_list(self) -> int | None:
+        """Which property lists the corners of a face."""
+        lists = [i for i, p in enumerate(self.properties) if p.length]
+        named = [i for i in lists if self.properties[i].name.startswith("vert")]
+        if named:
+            return named[0]
+        return lists[0] if self.name in FACE_NAMES and len(lists) == 1 else None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Table:
+    """What was read of an element: columns by name, and the lists of corners."""
+
+    columns: dict[str, np.ndarray]
+    faces: Polygons | None = None
+
+
+def lists_of(data: bytes, element: Element, at: int, order: str) -> tuple[Table, int]:
     """The corners that an element lists, and where the next element begins.
 
     Raises:
         PartError: the file ends inside a list.
     """
-    from scanmotion.geometry.files.ply_read import Table
-
     if element.count == 0:
         return Table(columns={}, faces=None), at
     same = _equal_rows(data, element, at, order)
@@ -32,7 +71,7 @@ def lists_of(data: bytes, element: "Element", at: int, order: str) -> tuple["Tab
     return _walked(data, element, at, order)
 
 
-def _equal_rows(data: bytes, element: "Element", at: int, order: str) -> tuple[np.ndarray, int] | None:
+def _equal_rows(data: bytes, element: Element, at: int, order: str) -> tuple[np.ndarray, int] | None:
     """All rows at once, if every row's lists are as long as the first row's."""
     fields: list[tuple] = []
     here = at
@@ -58,8 +97,7 @@ def _equal_rows(data: bytes, element: "Element", at: int, order: str) -> tuple[n
     return table, at + dtype.itemsize * element.count
 
 
-def _walked(data: bytes, element: "Element", at: int, order: str) -> tuple["Table", int]:
-    from scanmotion.geometry.files.ply_read import Table
+def _walked(data: bytes, element: Element, at: int, order: str) -> tuple[Table, int]:
     from scanmotion.geometry.files.walk import walk_rows
 
     raw = np.frombuffer(data, np.uint8)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scanmotion.core.errors import PartError
+from scanmotion.geometry.files.ply_lists import FACE_NAMES, Element, Property, Table, lists_of
 from scanmotion.geometry.files.raw import NO_TRIANGLES, Polygons, RawGeometry, float_step, triangulated
 from scanmotion.geometry.files.text import lines_of, numbers, plain_text, stated_unit, table_of, text_step
 
@@ -18,41 +19,7 @@ _TYPES = {
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8", "int64": "i8", "uint64": "u8",
     "long": "i8", "ulong": "u8",
 }  # fmt: skip
-_VERTEX, _FACE = ("vertex", "vertices", "point", "points"), ("face", "faces", "polygon", "triangle")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Property:
-    """One property of an element; `length` is the type of a list's length, "" for a scalar."""
-
-    name: str
-    kind: str
-    length: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Element:
-    name: str
-    count: int
-    properties: tuple[Property, ...]
-
-    @property
-    def has_lists(self) -> bool:
-        return any(p.length for p in self.properties)
-
-    @property
-    def least_size(self) -> int:
-        """Fewest bytes of one row of a binary file."""
-        return sum(int((p.length or p.kind)[1:]) for p in self.properties)
-
-    @property
-    def index_list(self) -> int | None:
-        """Which property lists the corners of a face."""
-        lists = [i for i, p in enumerate(self.properties) if p.length]
-        named = [i for i in lists if self.properties[i].name.startswith("vert")]
-        if named:
-            return named[0]
-        return lists[0] if self.name in _FACE and len(lists) == 1 else None
+_VERTEX = ("vertex", "vertices", "point", "points")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,14 +103,6 @@ def _element(name: str, count: int, rows: list[list[str]], size: int) -> Element
     return Element(name=name, count=count, properties=tuple(properties))
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Table:
-    """What was read of an element: columns by name, and the lists of corners."""
-
-    columns: dict[str, np.ndarray]
-    faces: Polygons | None = None
-
-
 def _geometry(header: Header, tables: dict[str, Table], data: bytes) -> RawGeometry:
     names = {e.name: e for e in header.elements}
     vertex = next((tables[n] for n in _VERTEX if n in tables), None)
@@ -155,7 +114,7 @@ def _geometry(header: Header, tables: dict[str, Table], data: bytes) -> RawGeome
         if name in _VERTEX:
             continue
         if table.faces is None:
-            if names[name].count and (name in _FACE or "strip" in name):
+            if names[name].count and (name in FACE_NAMES or "strip" in name):
                 raise PartError(f"PLY file whose {names[name].count} {name} elements hold no list of corners")
             if names[name].count:
                 notes.append(f"{names[name].count} {name} elements are no faces and were left out")
@@ -209,8 +168,6 @@ def _unstripped(strips: Polygons) -> Polygons:
 
 
 def _binary(data: bytes, header: Header) -> dict[str, Table]:
-    from scanmotion.geometry.files.ply_lists import lists_of
-
     at, order, tables = header.start, "<" if "little" in header.kind else ">", {}
     for element in header.elements:
         if at + element.least_size * element.count > len(data):

@@ -1,6 +1,7 @@
 """Text of unknown encoding, line ends, delimiters and decimal signs into numbers."""
 
 import re
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,13 +69,13 @@ def _numbers(block: bytes) -> np.ndarray:
     words = block.split() if len(block) < 4096 else None
     if words is not None:
         return np.array([_number(w) for w in words], float)
-    # numpy's text reader stops at what it cannot read: a number more then counts what it has read.
-    with np.errstate(all="ignore"):
-        import warnings
-
+    # numpy's text reader stops at what it cannot read, with an error or without one: a number more counts.
+    try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)
             found = np.fromstring(block + b" 8.25e11", sep=" ")
+    except ValueError:
+        found = np.zeros(0)
     if len(found) and found[-1] == 8.25e11 and len(found) - 1 == _words(block):
         return found[:-1]
     return np.array([_number(w) for w in block.split()], float)

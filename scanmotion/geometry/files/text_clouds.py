@@ -254,7 +254,7 @@ def _names(head: list[bytes], width: int) -> tuple[tuple[str, ...], str]:
             first = names[bare.index("x" if "x" in bare else "easting")]
             inside = re.search(r"[\[(]\s*([a-z]+)\s*[\])]", first)
             stated = UNIT_NAMES.get(inside.group(1), "") if inside else ""
-            if len(names) > width or bare.index("x" if "x" in bare else "easting") + 3 > width:
+            if len(names) > width:
                 return (), unit or stated
             return names, unit or stated
     return (), unit
