@@ -7,6 +7,7 @@ from scanmotion.cli.comparing import compare
 from scanmotion.cli.fusing import fuse
 from scanmotion.cli.geometry import holes, viewpoints
 from scanmotion.cli.looking import export, show, verify
+from scanmotion.cli.loop.assessing import assess
 from scanmotion.cli.planning import plan
 
 __all__ = ["app", "main"]
@@ -21,6 +22,7 @@ for _command, _panel, _example in (
     (viewpoints, "One stage alone", "scanmotion viewpoints --box 330 200 600 --out viewpoints.csv"),
     (reach, "One stage alone", "scanmotion reach --robot kr240 --box 330 200 600"),
     (fuse, "One stage alone", "scanmotion fuse turn1.ply turn2.ply --out fused.ply"),
+    (assess, "The real loop", "scanmotion assess fused.ply --reference statue.stl --out assessment"),
     (robots, "Robots and cells", "scanmotion robots"),
 ):
     app.command(rich_help_panel=_panel, epilog=f"Example: {_example}", no_args_is_help=False)(_command)
