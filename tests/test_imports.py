@@ -18,6 +18,7 @@ LAYERS = (
     {"planning"},
     {"plan_io"},
     {"judge", "export", "report", "study"},
+    {"job"},
     {"cli", "viewpoints"},
     {"__main__"},
 )

@@ -123,6 +123,10 @@ class ScannerSettings(_Settings):
     rays: tuple[int, int] = Field((424, 296), description="measured pixels of a frame")
     sigma_mm: Number = Field(0.05, ge=0.0, le=10.0, description="noise along the ray at least distance")
     frame_scale: Number = Field(1.5e-4, ge=0.0, le=0.1, description="scale error of a frame, m per m")
+    exposure_ms: Number = Field(0.0, ge=0.0, le=100.0, description="a frame's exposure: motion blurs it")
+    rolling_ms: Number = Field(
+        0.0, ge=-1000.0, le=1000.0, description="the last pixel row is measured so much after the first"
+    )
 
 
 class ProcessSettings(_Settings):
@@ -162,6 +166,31 @@ class TwinSettings(_Settings):
     backlash_deg: Number = Field(
         0.0, ge=0.0, le=2.0, description="play of the table: it lags by half of this behind its motion"
     )
+    latency_ms: Number = Field(
+        0.0, ge=-100.0, le=100.0, description="constant: a frame is taken so much after its pose"
+    )
+    jitter_ms: Number = Field(0.0, ge=0.0, le=100.0, description="standard deviation of that, frame by frame")
+
+
+class CalibrationSettings(_Settings):
+    """What calibration has found: constants that plan and measured frames are corrected by."""
+
+    hand_eye_mm: tuple[Offset, Offset, Offset] = Field(
+        (0.0, 0.0, 0.0), description="scanner off the place that `tool` gives, along its x, y, z"
+    )
+    hand_eye_deg: tuple[Turn, Turn, Turn] = Field(
+        (0.0, 0.0, 0.0), description="rotation vector of the scanner against the one that `tool` gives"
+    )
+    axis_mm: tuple[Offset, Offset] = Field(
+        (0.0, 0.0), description="axis of the table off the place that `turntable` gives, along x and y"
+    )
+    axis_deg: tuple[Turn, Turn] = Field((0.0, 0.0), description="tilt of the table's axis about x and y")
+    backlash_deg: Number = Field(
+        0.0, ge=-2.0, le=2.0, description="known play of the table; frames are corrected for it"
+    )
+    latency_ms: Number = Field(
+        0.0, ge=-100.0, le=100.0, description="known time from pose to frame; frames are corrected for it"
+    )
 
 
 class CellSettings(_Settings):
@@ -177,6 +206,7 @@ class CellSettings(_Settings):
     scanner: ScannerSettings = ScannerSettings.model_validate({})
     process: ProcessSettings = ProcessSettings.model_validate({})
     twin: TwinSettings = TwinSettings.model_validate({})
+    calibration: CalibrationSettings = CalibrationSettings.model_validate({})
 
     folder: str = Field("", exclude=True, description="where the YAML lies; model paths are relative to it")
 
@@ -217,6 +247,7 @@ class CellSettings(_Settings):
             fov=(math.radians(s.field_deg[0]), math.radians(s.field_deg[1])), range=s.range_m,
             max_incidence=math.radians(s.max_incidence_deg), baseline=s.baseline_m, rays=s.rays,
             sigma_at_near=s.sigma_mm * 1e-3, frame_scale=s.frame_scale,
+            exposure=s.exposure_ms * 1e-3, rolling=s.rolling_ms * 1e-3,
         )  # fmt: skip
 
     def twin_errors(self) -> dict[str, Any]:
@@ -229,6 +260,7 @@ class CellSettings(_Settings):
             "hand_eye_rad": tuple(map(math.radians, t.hand_eye_deg)),
             "axis_m": tuple(map(_metres, t.axis_mm)), "axis_rad": tuple(map(math.radians, t.axis_deg)),
             "backlash_rad": math.radians(t.backlash_deg),
+            "latency_s": t.latency_ms / 1000, "jitter_s": t.jitter_ms / 1000,
         }  # fmt: skip
 
 

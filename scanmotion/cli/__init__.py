@@ -8,6 +8,8 @@ from scanmotion.cli.fusing import fuse
 from scanmotion.cli.geometry import holes, viewpoints
 from scanmotion.cli.looking import export, show, verify
 from scanmotion.cli.loop.assessing import assess
+from scanmotion.cli.loop.calibrating import calibrate
+from scanmotion.cli.loop.jobs import job_app
 from scanmotion.cli.planning import plan
 
 __all__ = ["app", "main"]
@@ -23,11 +25,13 @@ for _command, _panel, _example in (
     (reach, "One stage alone", "scanmotion reach --robot kr240 --box 330 200 600"),
     (fuse, "One stage alone", "scanmotion fuse turn1.ply turn2.ply --out fused.ply"),
     (assess, "The real loop", "scanmotion assess fused.ply --reference statue.stl --out assessment"),
+    (calibrate, "The real loop", "scanmotion calibrate statue --write-cell calibrated.yaml"),
     (robots, "Robots and cells", "scanmotion robots"),
 ):
     app.command(rich_help_panel=_panel, epilog=f"Example: {_example}", no_args_is_help=False)(_command)
 
 app.add_typer(cell_app, name="cell", rich_help_panel="Robots and cells")
+app.add_typer(job_app, name="job", rich_help_panel="The real loop")
 
 
 def main() -> None:

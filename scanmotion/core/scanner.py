@@ -27,6 +27,11 @@ class Scanner:
     """Standard deviation along the ray at the least depth and normal incidence [m]."""
     frame_scale: float = 1.5e-4
     """Standard deviation of one frame's scale error [m/m]."""
+    exposure: float = 0.0
+    """A pixel is measured at a random instant within this time about its frame's [s]: motion blur."""
+    rolling: float = 0.0
+    """From the first to the last pixel row the instant moves on by this time, the middle row's is the frame's
+    [s]."""
 
     def field(self, depth: float | np.ndarray) -> tuple[float | np.ndarray, float | np.ndarray]:
         """Sides (l, w) of the field of view at `depth` [m]: l = 2 d tan(15 deg), w = 2 d tan(10.5 deg)."""

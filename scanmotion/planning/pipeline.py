@@ -119,7 +119,11 @@ class Trip:
         self.trajectory: Trajectory | None = None
         self.scans: list[Scan] = []
         mends = errors.constant if options.calibrate is None else options.calibrate
-        self.mender = Mender(part, voxel=options.voxel) if mends and options.source == "mesh" else None
+        self.mender = (
+            Mender(part, voxel=options.voxel, latency=errors.latency_s != 0)
+            if mends and options.source == "mesh"
+            else None
+        )
         self.cloud: Cloud | None = None
         self.holes: HoleReport | None = None
         self.dropped: list[tuple[str, str]] = []

@@ -40,8 +40,8 @@ class Mending:
 class Mender:
     """Corrects the scans of a trip one after the other."""
 
-    def __init__(self, part: Part, *, voxel: float) -> None:
-        self._part, self._voxel = part, voxel
+    def __init__(self, part: Part, *, voxel: float, latency: bool = False) -> None:
+        self._part, self._voxel, self._latency = part, voxel, latency
         self.mending = Mending()
 
     def mended(self, scan: Scan, cloud: Cloud | None, *, index: int) -> Scan:
@@ -68,10 +68,10 @@ class Mender:
 
     def _calibrated(self, scan: Scan) -> Scan:
         try:
-            found = calibrate([scan], points=_POINTS)
+            found = calibrate([scan], points=_POINTS, latency=self._latency)
         except InputError:
             return scan
-        applied = bool(found.known.all())
+        applied = found.determined
         better = corrected(scan, found.errors) if applied else scan
         before = accuracy(fuse([scan], voxel=self._voxel).points, self._part)
         after = accuracy(fuse([better], voxel=self._voxel).points, self._part) if applied else before
