@@ -215,8 +215,8 @@ def _covariance(
 def _by_arcs(J: np.ndarray, w: np.ndarray, r: np.ndarray, frame: np.ndarray, prior: np.ndarray) -> np.ndarray:
     """Variance of each unknown by leaving out arcs of neighbouring frames in turn, shape (u,).
 
-    Neighbouring frames see the same surface at like angles and share what the fit of a spot gets wrong: they err
-    together, which frames taken one by one do not show (Kuensch 1989, doi 10.1214/aos/1176347265).
+    Neighbouring frames see the same surface at like angles and share what the fit of a spot gets wrong: they
+    err together, which frames taken one by one do not show (Kuensch 1989, doi 10.1214/aos/1176347265).
     """
     frames = np.unique(frame)
     count = min(max(len(frames) // 8, 2), 24)
