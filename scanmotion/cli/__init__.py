@@ -9,6 +9,7 @@ from scanmotion.cli.geometry import holes, viewpoints
 from scanmotion.cli.looking import export, show, verify
 from scanmotion.cli.loop.assessing import assess
 from scanmotion.cli.planning import plan
+from scanmotion.cli.studying import layout, study_app
 
 __all__ = ["app", "main"]
 
@@ -24,10 +25,12 @@ for _command, _panel, _example in (
     (fuse, "One stage alone", "scanmotion fuse turn1.ply turn2.ply --out fused.ply"),
     (assess, "The real loop", "scanmotion assess fused.ply --reference statue.stl --out assessment"),
     (robots, "Robots and cells", "scanmotion robots"),
+    (layout, "Many plans", "scanmotion layout --part statue.ply --out layout.yaml"),
 ):
     app.command(rich_help_panel=_panel, epilog=f"Example: {_example}", no_args_is_help=False)(_command)
 
 app.add_typer(cell_app, name="cell", rich_help_panel="Robots and cells")
+app.add_typer(study_app, name="study", rich_help_panel="Many plans")
 
 
 def main() -> None:
