@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scans import bumpy
 from test_plan import PIT, pitted
 from typer.testing import CliRunner
 
@@ -239,3 +240,63 @@ def test_scans_with_given_poses_and_directions_make_a_job(tmp_path, shared_data)
     bunny = part_from_file(shared_data / "stanford_bunny.ply", place="keep")
     d = accuracy(model.cloud.points, bunny)
     assert d.mean_abs < 0.6e-3
+
+
+@pytest.fixture(scope="module")
+def planted(tmp_path_factory):
+    """A job in a cell whose scanner, table and clock are off, with the frames of its global step."""
+    import yaml
+
+    folder = tmp_path_factory.mktemp("planted")
+    told = load_cell("kr240").model_dump(mode="json")
+    told["twin"] |= {
+        "axis_mm": [0.5, -0.3],
+        "hand_eye_mm": [0.2, 0.0, 0.3],
+        "latency_ms": 2.0,
+        "backlash_deg": 0.02,
+    }
+    (folder / "cell.yaml").write_text(yaml.safe_dump(told))
+    part = bumpy(60)
+    write_ply(folder / "lump.ply", part.vertices * 1e3, triangles=part.triangles)
+    sides = [str(v) for v in np.ceil(part.extent * 1e3)]
+    run("new", folder / "job", "--cell", folder / "cell.yaml", "--box", *sides, "--json")
+    run("add", folder / "job", "--simulate", folder / "lump.ply", "--stride", "4", "--json")
+    return folder
+
+
+def test_calibration_finds_what_was_planted_and_writes_a_cell_that_scans_better(planted):
+    job = load_job(planted / "job")
+    part = bumpy(60)
+    before = accuracy(model_of(job).cloud.points, part)
+    out = planted / "calibrated.yaml"
+    result = CliRunner().invoke(app, ["calibrate", str(planted / "job"), "--write-cell", str(out), "--json"])
+    assert result.exit_code == 0, result.output
+    record = json.loads(result.stdout)
+    assert record["determined"] and record["applied"]
+    after = accuracy(model_of(load_job(planted / "job")).cloud.points, part)
+    assert after.mean_abs < before.mean_abs / 3
+    truth = {"axis_mm": [0.5, -0.3], "hand_eye_mm": [0.2, 0.0, 0.3], "latency_ms": 2.0, "backlash_deg": 0.02}
+    for key, value in truth.items():
+        off = np.abs(np.atleast_1d(record["estimated"][key]) - np.atleast_1d(value))
+        assert (off < 4 * np.atleast_1d(record["sd"][key]) + 1e-6).all(), (key, record)
+    known = load_cell(out)
+    # In the new cell the frames lie right as they come: nothing is corrected afterwards.
+    sides = [str(v) for v in np.ceil(part.extent * 1e3)]
+    run("new", planted / "again", "--cell", out, "--box", *sides, "--json")
+    run("add", planted / "again", "--simulate", planted / "lump.ply", "--stride", "4", "--json")
+    better = accuracy(model_of(load_job(planted / "again")).cloud.points, part)
+    assert better.mean_abs < before.mean_abs / 3
+    assert known.calibration.latency_ms == pytest.approx(record["estimated"]["latency_ms"], abs=1e-6)
+
+
+def test_calibrate_plan_proposes_turns_that_tell(tmp_path):
+    part = bumpy(40)
+    write_ply(tmp_path / "lump.ply", part.vertices * 1e3, triangles=part.triangles)
+    args = ["calibrate", "plan", "--part", str(tmp_path / "lump.ply"), "--turns", "3", "--json"]
+    result = CliRunner().invoke(app, args)
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)
+    assert len(told["turns"]) == 3 and told["determined"]
+    senses = {t.split(" deg, ")[-1].split()[0] for t in told["turns"]}
+    assert senses == {"forward", "backward"}
+    assert max(told["expected_sd"]["axis_mm"]) < 0.2 and told["expected_sd"]["latency_ms"] < 1.5

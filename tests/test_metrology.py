@@ -1,6 +1,7 @@
 """Assessment: alignment, moments against trimesh, regions, and figures on artefacts against planted ones."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,14 +14,16 @@ from typer.testing import CliRunner
 from scanmotion.cli import app
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
+from scanmotion.core.scanner import Scanner
 from scanmotion.geometry.part_files import read_geometry
 from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.geometry.ply import write_ply
 from scanmotion.report.assessment import cut_lines
+from scanmotion.sensing.metrology.acceptance import Table, acceptance
 from scanmotion.sensing.metrology.alignment import aligned
 from scanmotion.sensing.metrology.artefacts import ball_bar_from, ball_from, plane_from
 from scanmotion.sensing.metrology.deviations import Limits, deviations, deviations_at_points
-from scanmotion.sensing.simulator.captures import motion
+from scanmotion.sensing.simulator.captures import ScanErrors, motion
 
 
 @pytest.fixture(scope="module")
@@ -170,3 +173,17 @@ def test_the_command_writes_what_it_says(measured, tmp_path):
     assert CliRunner().invoke(app, args).exit_code == 0
     refused = CliRunner().invoke(app, [*args[:-1], str(tmp_path)])
     assert refused.exit_code == 2 and "not an assessment" in refused.output
+
+
+def test_a_simulated_acceptance_test_shows_what_was_planted():
+    """Without errors all figures vanish but for the mesh's chords; a scale of 1e-3 is read off spacing and
+    size."""
+    scanner = Scanner(rays=(212, 148))
+    table = Table(speed=np.pi / 3, acceleration=0.5, fps=4.0)
+    clean = acceptance(scanner, table, ScanErrors.none(), stride=2).record()
+    assert abs(clean["sphere spacing SD, D_CC"]) < 0.02 and abs(clean["probing size PS"]) < 0.05
+    assert clean["flatness F"] < 0.05
+    # The axis 0.3 mm off along the line of sight makes everything larger or smaller by twice of it at most.
+    off = acceptance(scanner, table, replace(ScanErrors.none(), axis_m=(3e-4, 0.0)), stride=2).record()
+    assert 0.2 < abs(off["probing size PS"]) < 0.8
+    assert off["probing form PF"] > clean["probing form PF"]

@@ -9,7 +9,7 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from scanmotion.core.errors import CellError
-from scanmotion.core.scanner import Scanner
+from scanmotion.core.scanner import MATERIALS, Scanner
 from scanmotion.geometry.parts import models_dir
 
 
@@ -123,6 +123,7 @@ class ScannerSettings(_Settings):
     rays: tuple[int, int] = Field((424, 296), description="measured pixels of a frame")
     sigma_mm: Number = Field(0.05, ge=0.0, le=10.0, description="noise along the ray at least distance")
     frame_scale: Number = Field(1.5e-4, ge=0.0, le=0.1, description="scale error of a frame, m per m")
+    material: Literal["matt", "glossy", "dark"] = Field("matt", description="of the part's surface, a model")
     exposure_ms: Number = Field(0.0, ge=0.0, le=100.0, description="a frame's exposure: motion blurs it")
     rolling_ms: Number = Field(
         0.0, ge=-1000.0, le=1000.0, description="the last pixel row is measured so much after the first"
@@ -243,12 +244,13 @@ class CellSettings(_Settings):
     def scanner_model(self) -> Scanner:
         """The scanner in SI units."""
         s = self.scanner
-        return Scanner(
+        plain = Scanner(
             fov=(math.radians(s.field_deg[0]), math.radians(s.field_deg[1])), range=s.range_m,
             max_incidence=math.radians(s.max_incidence_deg), baseline=s.baseline_m, rays=s.rays,
             sigma_at_near=s.sigma_mm * 1e-3, frame_scale=s.frame_scale,
             exposure=s.exposure_ms * 1e-3, rolling=s.rolling_ms * 1e-3,
         )  # fmt: skip
+        return plain if s.material == "matt" else plain.before(MATERIALS[s.material])
 
     def twin_errors(self) -> dict[str, Any]:
         """The twin's errors in SI units, by the names of `scan.captures.ScanErrors`."""

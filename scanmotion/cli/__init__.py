@@ -7,6 +7,7 @@ from scanmotion.cli.comparing import compare
 from scanmotion.cli.fusing import fuse
 from scanmotion.cli.geometry import holes, viewpoints
 from scanmotion.cli.looking import export, show, verify
+from scanmotion.cli.loop.accepting import acceptance
 from scanmotion.cli.loop.assessing import assess
 from scanmotion.cli.loop.calibrating import calibrate
 from scanmotion.cli.loop.jobs import job_app
@@ -26,6 +27,7 @@ for _command, _panel, _example in (
     (reach, "One stage alone", "scanmotion reach --robot kr240 --box 330 200 600"),
     (fuse, "One stage alone", "scanmotion fuse turn1.ply turn2.ply --out fused.ply"),
     (assess, "The real loop", "scanmotion assess fused.ply --reference statue.stl --out assessment"),
+    (acceptance, "The real loop", "scanmotion acceptance --cell my-cell.yaml"),
     (calibrate, "The real loop", "scanmotion calibrate statue --write-cell calibrated.yaml"),
     (robots, "Robots and cells", "scanmotion robots"),
     (layout, "Many plans", "scanmotion layout --part statue.ply --out layout.yaml"),

@@ -136,6 +136,24 @@ def simulate(
     )
 
 
+def _blinding(
+    rays: np.ndarray, depth: np.ndarray, normals: np.ndarray, p_OP: np.ndarray, mirror: float
+) -> np.ndarray:
+    """Where the mirror image of the projector lies within `mirror` [rad] of the camera, shape (k,) bool.
+
+    Args:
+        rays: from the camera, shape (k, 6); their parameter is the depth.
+        depth: shape (k,) [m].
+        normals: shape (k, 3).
+        p_OP: place of the projector in O, shape (3,) [m].
+        mirror: half angle.
+    """
+    camera = -depth[:, None] * rays[:, 3:]
+    projector = p_OP - (rays[:, :3] - camera)
+    half = sum(v / np.linalg.norm(v, axis=1, keepdims=True) for v in (camera, projector))
+    return np.einsum("ij,ij->i", half, normals) >= np.cos(mirror) * np.linalg.norm(half, axis=1)
+
+
 def _depth_rate(ray: np.ndarray, depth: np.ndarray, normal: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """How fast the depth of each pixel changes while the surface, flat about the pixel, moves, shape (k,)
     [m/s].
@@ -200,7 +218,7 @@ def _range_frame(
     rays, column, row = frame_rays(X_OS, columns, rows, low, high)
     if len(rays) == 0:
         return np.zeros(0, np.float32), np.zeros(0, np.float32), column, row, np.zeros((0, 3), np.float32)
-    hit = scene.raycaster.cast_rays(rays)
+    rays_hit, hit = rays, scene.raycaster.cast_rays(rays)
     normals = hit["primitive_normals"].numpy()
     depth = hit["t_hit"].numpy()
     p_OP = X_OS[:3, 3] + scanner.baseline * X_OS[:3, 0]
@@ -216,6 +234,8 @@ def _range_frame(
     if len(doubtful):
         rays = shadow[doubtful]
         lit[doubtful] = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=_SHADOW_END).numpy()
+    if scanner.mirror > 0:
+        lit &= ~_blinding(rays_hit[index], depth[index], normals[index], p_OP, scanner.mirror)
     index, cosine = index[lit], cosine[lit]
     return depth[index], cosine, column[index], row[index], normals[index]
 
