@@ -5,9 +5,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from pydrake.geometry import (
     CollisionFilterDeclaration,
-    Convex,
     GeometrySet,
-    ProximityProperties,
     SceneGraph,
 )
 from pydrake.math import RigidTransform, RotationMatrix
@@ -19,7 +17,7 @@ from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
 from scanmotion.cell.collision.sphere_filter import IGNORED_PAIRS
-from scanmotion.cell.drake_scene import add_cell
+from scanmotion.cell.drake_scene import add_cell, add_hull
 
 if TYPE_CHECKING:
     from scanmotion.cell.model import Cell
@@ -51,8 +49,8 @@ class SlackPlant:
         table = self.plant.GetFrameByName("turntable")
         self.frame_S = self.plant.AddFrame(FixedOffsetFrame("S", flange, RigidTransform(X_FS)))
         self.frame_O = self.plant.AddFrame(FixedOffsetFrame("O", table, RigidTransform(X_TO)))
-        if part == "hull" and cell.part is not None:
-            _add_hull(self.plant, cell)
+        if part == "hull":
+            add_hull(self.plant, cell)
         self.plant.Finalize()
         _filter(self.plant, scene, cell)
         self._diagram = builder.Build()
@@ -118,20 +116,6 @@ class SlackPlant:
     def order(self) -> np.ndarray:
         """Index of each of A1..A6, E1 in the plant's position vector."""
         return self._order
-
-
-def _add_hull(plant: MultibodyPlant, cell: "Cell") -> None:
-    """Welds the convex hull of the part's vertices to the table."""
-    from scipy.spatial import ConvexHull
-
-    assert cell.part is not None
-    points = cell.part.vertices
-    corners = points[ConvexHull(points).vertices]
-    # The stubs of pydrake know no arrays.
-    X: Any = cell.X_TO
-    convex: Any = Convex
-    body, shape = plant.GetBodyByName("turntable"), convex(corners.T, "part")
-    plant.RegisterCollisionGeometry(body, RigidTransform(X), shape, "part", ProximityProperties())
 
 
 def _filter(plant: MultibodyPlant, scene: SceneGraph, cell: "Cell") -> None:
