@@ -122,9 +122,7 @@ class DrakeJudge:
         checker, plant = self._drake.checker, self._drake.plant
         found = checker.CalcRobotClearance(self._drake.positions(q[None])[0], 0.0)
         out = []
-        for a, b, excess in zip(
-            found.robot_indices(), found.other_indices(), found.distances(), strict=True
-        ):
+        for a, b, excess in zip(found.robot_indices(), found.other_indices(), found.distances(), strict=True):
             if excess >= 0.0:
                 continue
             names = plant.get_body(a).name(), plant.get_body(b).name()
@@ -251,9 +249,7 @@ def _finding(pair: tuple[str, str], found: tuple[float, float, float]) -> Findin
     code = "collision" if distance <= 0.0 else "clearance"
     how = "touch" if distance <= 0.0 else f"come within {distance * 1e3:.1f} mm"
     text = f"Drake finds that {pair[0]} and {pair[1]} {how} at {t:.2f} s, where the planner saw no fault"
-    return Finding(
-        code=code, message=text, where=f"{pair[0]}, {pair[1]}", value=distance, limit=asked, t=t
-    )
+    return Finding(code=code, message=text, where=f"{pair[0]}, {pair[1]}", value=distance, limit=asked, t=t)
 
 
 def _radius(shape: Any) -> float:
