@@ -86,7 +86,7 @@ def test_a_thin_plate_between_two_samples_is_hit():
 
 
 def test_the_part_is_judged_by_its_triangles_not_by_its_hull(cell, judge, second, in_the_trough):
-    """Inside the hull and clear of the triangles is free; pushed into the wall is a collision with the part."""
+    """Inside the hull and clear of the triangles is free; pushed into the wall it touches the part."""
     still = judge.judge(moved(np.tile(in_the_trough, (3, 1))))
     assert still.by_triangles > 0 and not still.findings
     turned = np.tile(in_the_trough, (2, 1))

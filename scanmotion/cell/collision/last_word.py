@@ -1,13 +1,13 @@
 """The last word: Drake judges the motion that is emitted, whatever the planner's fast filter has called free.
 
-Guarantee: where nothing is found, arm and tool keep every clearance less `TOLERANCE_M`, and touch nothing, at
-each written sample and at each instant between two of them, with the joints moving evenly in between. It holds
-for the solids as Drake's parser reads them and for the true triangles of the part.
+Guarantee: where nothing is found, arm and tool keep every clearance less `TOLERANCE_M`, and touch nothing,
+at each written sample and at each instant between two of them, with the joints moving evenly in between. It
+holds for the solids as Drake's parser reads them and for the true triangles of the part.
 
 How: the motion is cut where something can have moved by `COARSE_M` relative to something else, in metres, not
 in radians. There Drake's SceneGraphCollisionChecker asks for the clearance and half a step besides, so that
-what it passes is free up to the next cut. What it does not pass is cut at every `FINE_M`. Drake takes the part
-as its convex hull: where only the hull is too near, the triangles are asked (FCL).
+what it passes is free up to the next cut. What it does not pass is cut at every `FINE_M`. Drake takes the
+part as its convex hull: where only the hull is too near, the triangles are asked (FCL).
 
 One instance belongs to one thread.
 """
@@ -118,7 +118,7 @@ class DrakeJudge:
         return np.array(checker.CheckConfigsCollisionFree(rows, parallelize=Parallelism(1)), dtype=bool)
 
     def _too_near(self, q: np.ndarray) -> list[tuple[tuple[str, str], float, float]]:
-        """Pairs of bodies that do not keep what is asked in one configuration (7,): distance and asked [m]."""
+        """Bodies too near to each other in one configuration (7,): names, distance and what is asked [m]."""
         checker, plant = self._drake.checker, self._drake.plant
         found = checker.CalcRobotClearance(self._drake.positions(q[None])[0], 0.0)
         out = []
@@ -137,7 +137,7 @@ class DrakeJudge:
         return out
 
     def _triangle_distance(self, q: np.ndarray, body: int, *, enough: float) -> float:
-        """Distance of the solids of one of the robot's bodies to the part's true triangles [m]; -1e-6 inside."""
+        """Distance of one of the robot's bodies to the part's true triangles [m]; -1e-6 where they meet."""
         plant, context = self._drake.plant, self._drake.context
         plant.SetPositions(context, self._drake.positions(q[None])[0])
         X_WL = plant.EvalBodyPoseInWorld(context, plant.get_body(BodyIndex(body))).GetAsMatrix4()
@@ -156,7 +156,7 @@ class DrakeJudge:
         return float(least)
 
     def _inside(self, X_WL: np.ndarray, X_WO: np.ndarray, body: int) -> bool:
-        """Whether the middle of one of a body's solids lies inside the closed part: no surfaces meet there."""
+        """Whether the middle of a body's solid lies inside the closed part, where no surfaces meet."""
         part = self.cell.part
         assert part is not None
         for _, X_LG in self._solids[body]:
@@ -186,7 +186,7 @@ class DrakeJudge:
         return out
 
     def _way(self, q: np.ndarray) -> np.ndarray:
-        """Way of the robot's fastest point plus that of the part's, from the first row of q (n, 7) on, (n,)."""
+        """Way of the robot's fastest point plus the part's, from the first row of q (n, 7) on, (n,) [m]."""
         frames = np.concatenate([link_poses(self.cell, q), flange_poses(self.cell, q)[:, None]], axis=1)
         robot = np.zeros(len(q) - 1)
         for link, radius in self._radii.items():
@@ -202,7 +202,7 @@ class DrakeJudge:
 
     @cached_property
     def _radii(self) -> dict[int, float]:
-        """Greatest distance of a solid's point from the frame of the link that carries it, by link 1..6 [m]."""
+        """Greatest distance of a solid's point from the frame of its link, by link 1..6 [m]."""
         drake, cell = self._drake, self.cell
         plant, context = drake.plant, drake.context
         plant.SetPositions(context, np.zeros(plant.num_positions()))
