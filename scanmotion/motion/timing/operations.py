@@ -1,7 +1,7 @@
 """Timing: operations from rest to rest, inside the limits of every axis and of the scanner's speed.
 
 Transits follow a cubic B-spline beside their checked path (transit/drive.py holds the curve that
-transit/plan.py checked) with toppra's profile (toppra_profile.py), made jerk-limited (jerk_limited.py). Sweeps
+transit/plan.py checked) with the profile of toppra_profile.py, made jerk-limited by jerk_limited.py. Sweeps
 and revolutions are driven by one path parameter with Ruckig's jerk-limited law (Berscheid and Kroeger 2021,
 arXiv:2105.04830), which never leaves the path.
 """
