@@ -69,7 +69,7 @@ class SlackPlant:
         add_cell(self.plant, cell)
         X_FS: Any = cell.X_FS
         X_TO: Any = cell.X_TO
-        flange = self.plant.GetFrameByName(cell.settings.robot.flange)
+        flange = self.plant.GetFrameByName(cell.robot.flange)
         table = self.plant.GetFrameByName("turntable")
         self.frame_S = self.plant.AddFrame(FixedOffsetFrame("S", flange, RigidTransform(X_FS)))
         self.frame_O = self.plant.AddFrame(FixedOffsetFrame("O", table, RigidTransform(X_TO)))
@@ -80,7 +80,7 @@ class SlackPlant:
         self._diagram = builder.Build()
         self._root = self._diagram.CreateDefaultContext()
         self.context = self.plant.GetMyMutableContextFromRoot(self._root)
-        names = [*cell.settings.robot.joints, "E1"]
+        names = cell.joint_names
         self._order = np.array([self.plant.GetJointByName(n).position_start() for n in names])
 
     def positions(self, q: np.ndarray) -> np.ndarray:
