@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from scanmotion.cell.collision.shapes import fcl_object
 from scanmotion.cell.kinematics import branches
 from scanmotion.cell.model import TABLE as TABLE
 from scanmotion.cell.model import TOOL as TOOL
 from scanmotion.cell.model import WORLD as WORLD
 from scanmotion.cell.model import Cell as Cell
-from scanmotion.cell.robot import Body, Robot, robot_from_urdf
+from scanmotion.cell.robot import Body, Robot
+from scanmotion.cell.robot_file import robot_from_file
 from scanmotion.cell.settings import CellSettings, pose
 from scanmotion.core.errors import CellError
 from scanmotion.core.part import Part
@@ -43,6 +45,24 @@ def robot_facts() -> dict[str, dict[str, Any]]:
     return yaml.safe_load((models_dir() / "robots" / "robots.yaml").read_text(encoding="utf-8"))
 
 
+def robot_of(settings: CellSettings) -> Robot:
+    """The arm that the settings name.
+
+    Raises:
+        CellError: it cannot be read.
+    """
+    robot = settings.robot
+    speed = robot.velocity_deg_s
+    return robot_from_file(
+        robot_path(settings),
+        robot.joints,
+        robot.flange,
+        packages=tuple((Path(settings.folder) / folder).resolve() for folder in robot.packages),
+        turns=robot.endless_deg / 360,
+        speed=None if speed is None else tuple(float(v) for v in np.deg2rad(speed)),
+    )
+
+
 def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
     """Puts the cell together.
 
@@ -53,7 +73,7 @@ def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
     Raises:
         CellError: the robot's model cannot be read, or home is outside the limits.
     """
-    robot = robot_from_urdf(robot_path(settings), settings.robot.joints, settings.robot.flange)
+    robot = robot_of(settings)
     table = settings.turntable
     X_WB = pose(settings.base.position_m, np.deg2rad(settings.base.yaw_deg))
     known = settings.calibration
@@ -61,7 +81,7 @@ def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
     limits = _limits(settings, robot)
     frame: dict[str, Any] = dict(
         settings=settings, part=part, robot=robot, X_WB=X_WB, X_FS=tool_pose(settings), X_WT=X_WT,
-        X_TO=pose((0.0, 0.0, settings.pedestal.height_m)), joint_names=(*settings.robot.joints, "E1"),
+        X_TO=pose((0.0, 0.0, settings.pedestal.height_m)), joint_names=(*robot.joints, "E1"),
         bodies=(*robot.bodies, *_tool_bodies(settings), *_still_bodies(settings)), **limits,
     )  # fmt: skip
     home = _home(Cell(**frame, home=np.zeros(7)))
@@ -113,9 +133,7 @@ def _check_base(cell: Cell, turning: list[tuple[str, float, float, float]]) -> N
         for body in cell.bodies:
             if body.link != 0:
                 continue
-            X = cell.X_WB @ body.X_LG
-            shape = fcl.Box(*body.size) if body.shape == "box" else fcl.Cylinder(*body.size[:2])
-            solid = fcl.CollisionObject(shape, fcl.Transform(X[:3, :3].copy(), X[:3, 3].copy()))
+            solid = fcl_object(body, cell.X_WB @ body.X_LG)
             if fcl.collide(solid, turns, fcl.CollisionRequest(), fcl.CollisionResult()):
                 raise CellError(
                     f"the robot's base ({body.name}) stands in {what}: move the one or the other",
