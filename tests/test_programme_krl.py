@@ -141,15 +141,15 @@ def test_the_sweep_is_a_line_at_the_planned_speed(good, cell):
     beside = np.linalg.norm(np.cross(p - p[0], way / np.linalg.norm(way)), axis=1)
     assert beside.max() < 2e-5 and np.linalg.norm(way) == pytest.approx(0.13, abs=1e-4)
     speed = np.linalg.norm(np.diff(p, axis=0), axis=1) / np.diff(run.t[run.step == n])
-    assert np.median(speed) == pytest.approx(0.999 * SPEED, rel=0.01)
+    assert speed.max() == pytest.approx(0.999 * SPEED, rel=0.01)
 
 
 @pytest.mark.parametrize("to", MANNERS)
 def test_pages_do_the_same_as_one_file(to, folder, good, tmp_path, monkeypatch):
-    monkeypatch.setattr(writer, "LINES_A_FILE", 330)
+    monkeypatch.setattr(writer, "LINES_A_FILE", 60)
     files = export_plan(folder, to, out=tmp_path, name="a" * 19)
     sources = [p for p in files if p.suffix == ".src"]
-    assert len(sources) > 2
+    assert len(sources) > 2 and all(p.stem[:19] == "a" * 19 for p in sources)
     main = next(p for p in sources if p.stem == "a" * 19)
     controller = controller_from(main, folder)
     run, _ = controller.run(ScriptedScanner(signals=controller.signals))
@@ -206,11 +206,11 @@ def test_what_is_no_output_is_refused(to, signal, folder, tmp_path):
         ("$TIMER[5]=-10000", "$TIMER[5]=-20000", "waited for"),
         ("scan_NOW (3)", "scan_NOW (2)", "order"),
         ("$OUT[41] TO $OUT[50]", "$OUT[42] TO $OUT[51]", "step's number"),
-        ("scan_ON ( )", "scan_OFF ( )", "scanner"),
+        ("scan_ON ( )\r\nWAIT", "scan_OFF ( )\r\nWAIT", "scanner"),
         ("RESUME", "CONTINUE", "resume"),
         ("B2 ( )", "B4 ( )", "there twice"),
         ("PULSE ($OUT[34]", "PULSE ($OUT[44]", "output 34"),
-        ("IF ABS($AXIS_ACT.A3", "IF ABS($AXIS_ACT.A2", "from the start"),
+        ("IF ABS($AXIS_ACT.A3-scan_POS.A3)", "IF ABS($AXIS_ACT.A2-scan_POS.A2)", "from the start"),
         ("SPTP", "SLIN", "not understood"),
     ],
 )

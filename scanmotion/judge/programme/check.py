@@ -99,6 +99,11 @@ def _signals(controller: Controller, run: Run) -> list[Finding]:
             findings.append(Finding(code="order", message=text, where=f"step {n}"))
         if should and s.frame_out and not s.frame_in:
             findings += _frames(controller, run, n, n in run.gains)
+    begun = sum(e.on for e in run.said("output") if e.number == s.start_out)
+    scans = 0 if controller.dry else sum(o.scanning for o in controller.planned)
+    if s.start_out and begun != scans:
+        text = f"the scanner records {begun} times, {scans} steps scan"
+        findings.append(Finding(code="order", message=text))
     if run.recording[-1] or (run.recording & (run.step == 0)).any():
         findings.append(Finding(code="order", message="the scanner is on outside of the steps"))
     words = [e.number for e in run.said("word") if e.number]
