@@ -29,14 +29,11 @@ def check_frames(folder: Path, record: PlanRecord, trajectory: Trajectory, arm: 
     except (KeyError, TypeError, ValueError, csv.Error) as error:
         text = f"frames.csv is not what belongs there ({type(error).__name__})"
         return [Finding(code="frames", message=text)]
-    expected = sum(
-        int((o.t_end - o.t_start) * record.process.fps + 1e-6) + 1
-        for o in record.operations
-        if o.kind in SCANNING
-    )
+    spans = [o.t_end - o.t_start for o in record.operations if o.kind in SCANNING]
+    expected = sum(int(span * record.process.fps + 1e-6) + 1 for span in spans)
     found = []
     # Rounding of a span's end may add or lose a frame.
-    if abs(len(t) - expected) > sum(o.kind in SCANNING for o in record.operations):
+    if abs(len(t) - expected) > len(spans):
         text = f"frames.csv has {len(t)} frames, {expected} are taken"
         found.append(Finding(code="frames", message=text, value=len(t), limit=expected))
     if len(t) == 0:

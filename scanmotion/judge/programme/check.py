@@ -22,7 +22,7 @@ from scanmotion.judge.programme.controller import (
     driven_trajectory,
     with_clearance,
 )
-from scanmotion.judge.programme.machine import pose_of
+from scanmotion.judge.programme.motions import pose_of
 from scanmotion.judge.programme.world import Run, ScriptedScanner
 from scanmotion.judge.views import check_viewpoints
 
