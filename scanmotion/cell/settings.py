@@ -8,6 +8,7 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from scanmotion.cell.programme_settings import ProgrammeSettings
 from scanmotion.core.errors import CellError
 from scanmotion.core.scanner import Scanner
 from scanmotion.geometry.parts import models_dir
@@ -186,6 +187,7 @@ class CellSettings(_Settings):
     scanner: ScannerSettings = ScannerSettings.model_validate({})
     process: ProcessSettings = ProcessSettings.model_validate({})
     twin: TwinSettings = TwinSettings.model_validate({})
+    programme: ProgrammeSettings = ProgrammeSettings.model_validate({})
 
     folder: str = Field("", exclude=True, description="where the YAML lies; model paths are relative to it")
 

@@ -19,6 +19,7 @@ from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.judge import Finding, verify
+from scanmotion.plan_io.frames import frame_files
 from scanmotion.plan_io.measured import (
     calibration_record,
     millimetres,
@@ -278,6 +279,7 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
         "cell.json": plan.cell.settings.model_dump_json(indent=1) + "\n",
         "holes.json": json_text({"units": "m", "holes": _hole_records(plan)}),
         "scan.npz": _arrays(plan),
+        **frame_files(plan.trajectory, plan.viewpoints, plan.cell),
     }
 
 
