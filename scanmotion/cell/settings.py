@@ -15,6 +15,7 @@ from scanmotion.cell.error_settings import (
     Side,
     TwinSettings,
 )
+from scanmotion.cell.programme_settings import ProgrammeSettings
 from scanmotion.core.errors import CellError
 from scanmotion.core.scanner import MATERIALS, Scanner
 from scanmotion.geometry.parts import models_dir
@@ -151,6 +152,7 @@ class CellSettings(Settings):
     process: ProcessSettings = ProcessSettings.model_validate({})
     twin: TwinSettings = TwinSettings.model_validate({})
     calibration: CalibrationSettings = CalibrationSettings.model_validate({})
+    programme: ProgrammeSettings = ProgrammeSettings.model_validate({})
 
     folder: str = Field("", exclude=True, description="where the YAML lies; model paths are relative to it")
 
