@@ -6,12 +6,13 @@ STAMP := $(VENV)/.installed
 TESTED := $(VENV)/.installed-test
 OUT ?= demo
 
-.PHONY: help demo test test-all lint bench models env env-test clean system
+.PHONY: help demo test test-all lint docs bench models env env-test clean system
 
 help:
 	@echo "make demo      plan a scan of the built-in carving into $(OUT)/"
 	@echo "make test      the test suite        make test-all  with the slow tests"
 	@echo "make lint      ruff and pyright      make bench     the benchmarks"
+	@echo "make docs      the site of the documents"
 
 # Before anything is downloaded: Python's version and the libraries of the system.
 system:
@@ -49,6 +50,10 @@ lint: env-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+docs: env-test
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
+	@echo "docs:   docs/_build/index.html"
 
 bench: env-test
 	@for b in benchmarks/*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from helix_plan import ARMS, helix_files, helix_plan, helix_tour, turning_cell, turns
 from judged_plan import Written
-from krl_reader import read_programme
-from scipy.interpolate import CubicSpline
 from test_plan import TINY, pitted
 
 from scanmotion.cell.build import build_cell
@@ -21,14 +19,17 @@ from scanmotion.core.errors import InputError, TimingError
 from scanmotion.export import export_plan
 from scanmotion.geometry.parts import box_part
 from scanmotion.judge import verify
+from scanmotion.judge.programme.check import verify_programme
+from scanmotion.judge.programme.controller import controller_from
+from scanmotion.judge.programme.world import ScriptedScanner
 from scanmotion.motion.order.helix_choice import joined_stops
 from scanmotion.motion.order.lower_bound import least_scanning_seconds
 from scanmotion.motion.timing.helix import helix_motion, ramp_angle, turns_of, way_law
 from scanmotion.motion.transit_cost import jerk_limited_seconds, move_model, stop_seconds
 from scanmotion.plan_io.schema import csv_text
 from scanmotion.planning import helices as joining
-from scanmotion.planning.outcome import plan_files
 from scanmotion.planning.pipeline import PlanOptions, plan
+from scanmotion.planning.plan import plan_files
 
 TURN = 2 * np.pi
 OVERLAPS = (1.0, 0.5, 0.0)
@@ -348,24 +349,21 @@ def test_tables_call_it_a_helix_and_the_scanner_is_on(folder, tmp_path):
     ]  # fmt: skip
 
 
-def test_both_krl_programmes_are_read_back_on_the_planned_path(folder, tmp_path, files):
-    degrees = Written(files).deg[Written(files).rows_with_start(HELIX)]
-    own = Written(files).rows_with_start(HELIX)
-    t = Written(files).t[own] - Written(files).t[own[0]]
-    for to in ("krl", "krl-timed"):
-        export_plan(folder, to, out=tmp_path / to, name="scan_a")
-        fold = read_programme(tmp_path / to, "scan_a").folds[HELIX]
-        assert fold.title.endswith("scanner on") and " helix G0 G1 G2" in fold.title
-        points = np.array([m.joints for m in fold.moves])
-        np.testing.assert_allclose(points[-1], degrees[-1], atol=2e-5)
-        if to == "krl":
-            order = [int(np.abs(degrees - p).max(axis=1).argmin()) for p in points]
-            assert np.abs(degrees[order] - points).max() < 2e-5 and np.all(np.diff(order) > 0)
-            assert {m.kind for m in fold.moves} == {"PTP"}
-            assert max(m.percent for m in fold.moves) <= 100
-        else:
-            back = CubicSpline([m.t for m in fold.moves], points, bc_type="clamped")(t)
-            assert np.abs(back - degrees).max() < 0.015
+@pytest.mark.parametrize("to", ["krl", "krl-timed"])
+def test_krl_programmes_drive_the_helix_and_back_after_a_fault(to, folder, tmp_path):
+    file = export_plan(folder, to, out=tmp_path, name="scan_a")[0]
+    assert verify_programme(file, folder, clearance=False).findings == ()
+    controller = controller_from(file, folder)
+    signals = controller.signals
+    scanner = ScriptedScanner(signals=signals, faults=frozenset([1]), fault_after=6.0, patience=1)
+    run, _ = controller.run(scanner)
+    assert run.ended and scanner.recordings == 2
+    own = run.q[run.step == HELIX + 1]
+    start = np.rad2deg(controller.trajectory.operations[HELIX].q_start)
+    away = np.abs(own - start).max(axis=1)
+    back = int(away[: len(own) // 2].argmax())
+    # It went some way, came back to the start by small steps of the same path, and went again.
+    assert away[back] > 20 and away[back:].min() < 1e-3 and away[-1] > 3 * away[back]
 
 
 # --- when it is taken ---------------------------------------------------------------------------------
@@ -399,13 +397,13 @@ def test_the_fastest_is_taken_that_sees_all_but_a_thousandth(monkeypatch, seen, 
         mask = np.arange(20_000) < {50.0: 10_000, **seen}[trajectory.duration]
         return SimpleNamespace(seen=mask)
 
-    monkeypatch.setattr(joining, "joined_leg", form)
+    monkeypatch.setattr(joining, "joined_segment", form)
     nothing: Any = None
     still: Any = leg(50.0)
-    made = joining.joined(nothing, nothing, still, simulated, np.random.default_rng(0))  # type: ignore[arg-type]
-    assert made.leg.trajectory is not None and made.leg.trajectory.duration == taken
-    assert made.record["taken"] == (taken < 50.0)
-    assert f"{taken:.1f} s" in made.record["note"]
+    made = joining.fastest_form(nothing, nothing, still, simulated, np.random.default_rng(0))  # type: ignore[arg-type]
+    assert made.segment.trajectory is not None and made.segment.trajectory.duration == taken
+    assert made.joining.taken == (taken < 50.0)
+    assert f"{taken:.1f} s" in made.joining.note
     assert len(asked) == scans and made.scan.seen.sum() == {50.0: 10_000, **seen}[taken]
 
 
@@ -429,23 +427,23 @@ def test_without_the_option_nothing_is_said_of_it(pitted_plan):
 
 
 def test_not_taken_the_plan_is_that_without_the_option(pitted_plan, monkeypatch):
-    monkeypatch.setattr(joining, "joined_leg", lambda *a, **k: None)
+    monkeypatch.setattr(joining, "joined_segment", lambda *a, **k: None)
     options = PlanOptions(seed=5, helix=True, **(TINY | {"rounds": 0}))
     made = plan(pitted(), load_cell("kr240"), options=options)
-    assert made.helix is not None and made.helix["taken"] is False
+    assert made.joining is not None and made.joining.taken is False
     text = csv_text(made.trajectory).splitlines()
     assert csv_text(pitted_plan.trajectory).splitlines()[: len(text)] == text
-    assert np.array_equal(made.rounds[0].seen, pitted_plan.rounds[0].seen)
+    assert np.array_equal(made.segments[0].seen, pitted_plan.segments[0].seen)
 
 
 def test_taken_it_is_faster_and_judged(allowed, pitted_plan):
-    still = next(r for r in pitted_plan.rounds if r.step == "global")
-    assert allowed.helix["taken"]
-    assert allowed.trajectory.duration < still.leg.trajectory.duration
-    assert allowed.helix["still_seconds"] == pytest.approx(still.leg.trajectory.duration, abs=1e-3)
-    assert allowed.rounds[0].seen.sum() >= 0.999 * still.seen.sum()
+    still = next(r for r in pitted_plan.segments if r.step == "global")
+    assert allowed.joining.taken
+    assert allowed.trajectory.duration < still.trajectory.duration
+    assert allowed.joining.still_seconds == pytest.approx(still.trajectory.duration, abs=1e-3)
+    assert allowed.segments[0].seen.sum() >= 0.999 * still.seen.sum()
     assert any(o.kind == "helix" for o in allowed.trajectory.operations)
     assert list(allowed.findings) == []
     assert allowed.summary["time_s"]["floor"] <= allowed.trajectory.duration
     served = {v for o in allowed.trajectory.operations if o.scanning for v in o.viewpoints}
-    assert served == {v.id for v in still.leg.served}
+    assert served == {v.id for v in still.served}

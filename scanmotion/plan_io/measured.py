@@ -10,14 +10,21 @@ from scanmotion.core.part import Part
 from scanmotion.geometry.parts import surface_samples
 from scanmotion.sensing.assess import Accuracy, accuracy, distances_to, raycaster
 from scanmotion.sensing.calibration import PARAMETERS, Calibration
-from scanmotion.sensing.corrections import Mending
+from scanmotion.sensing.corrections import Corrections
 from scanmotion.sensing.fusion.fuse import Cloud
 from scanmotion.sensing.fusion.surface import deviation_mesh
 from scanmotion.sensing.registration import Registration
 from scanmotion.sensing.scan_files import cloud_data, scan_data
 from scanmotion.sensing.simulator.simulate import Scan
 
-__all__ = ["calibration_record", "millimetres", "registration_records", "scan_files", "surface_record"]
+__all__ = [
+    "calibration_record",
+    "constants_by_name",
+    "millimetres",
+    "registration_records",
+    "scan_files",
+    "surface_record",
+]
 
 _SAMPLES = 100_000
 """Samples, uniform by area, at which a reconstructed surface is assessed."""
@@ -29,27 +36,28 @@ def millimetres(found: Accuracy | None) -> dict[str, float | None]:
     return {f"{n}_mm": None if found is None else round(getattr(found, n) * 1e3, 5) for n in names}
 
 
-def calibration_record(mending: Mending | None) -> dict[str, Any] | None:
-    """`calibration` of summary.json; None where the trip did not calibrate, or could not."""
-    if mending is None or mending.calibration is None:
+def calibration_record(corrections: Corrections | None) -> dict[str, Any] | None:
+    """`calibration` of summary.json; None where the plan does not calibrate, or could not."""
+    if corrections is None or corrections.calibration is None:
         return None
-    found = mending.calibration
+    found = corrections.calibration
     e = asdict(found.errors)
     values = [*e["hand_eye_m"], *e["hand_eye_rad"], *e["axis_m"], *e["axis_rad"], e["backlash_rad"]]
+    values.append(e["latency_s"])
     return {
-        "applied": mending.applied,
-        "estimated": _by_name(values),
-        "sd": _by_name(found.sd),
+        "applied": corrections.applied,
+        "estimated": constants_by_name(values),
+        "sd": constants_by_name(found.sd),
         "undetermined": _undetermined(found),
         "disagreement_mm": {
             "before": round(found.rms_before * 1e3, 5), "after": round(found.rms_after * 1e3, 5),
         },
-        "global_cloud": {"before": millimetres(mending.before), "after": millimetres(mending.after)},
-        "statement": found.statement + ("" if mending.applied else "; nothing is corrected"),
+        "global_cloud": {"before": millimetres(corrections.before), "after": millimetres(corrections.after)},
+        "statement": found.statement + ("" if corrections.applied else "; nothing is corrected"),
     }  # fmt: skip
 
 
-def _by_name(values: Sequence[float] | np.ndarray) -> dict[str, Any]:
+def constants_by_name(values: Sequence[float] | np.ndarray) -> dict[str, Any]:
     """The unknowns of calibration in the keys of the cell's section `twin`."""
     v = np.asarray(values, float)
     deg, mm = np.rad2deg(v), v * 1e3
@@ -60,16 +68,18 @@ def _by_name(values: Sequence[float] | np.ndarray) -> dict[str, Any]:
     return {
         "hand_eye_mm": told(mm[:3]), "hand_eye_deg": told(deg[3:6]), "axis_mm": told(mm[6:8]),
         "axis_deg": told(deg[8:10]), "backlash_deg": round(float(deg[10]), 6),
+        "latency_ms": round(float(mm[11]), 6),
     }  # fmt: skip
 
 
 def _undetermined(found: Calibration) -> list[str]:
-    return [name for name, known in zip(PARAMETERS, found.known, strict=True) if not known]
+    every = zip(PARAMETERS, found.known, found.asked, strict=True)
+    return [name for name, known, asked in every if asked and not known]
 
 
-def registration_records(mending: Mending | None) -> list[dict[str, Any]]:
+def registration_records(corrections: Corrections | None) -> list[dict[str, Any]]:
     """`registration` of summary.json: one entry for each scan after the first."""
-    return [] if mending is None else [_registration(i, r) for i, r in mending.registrations]
+    return [] if corrections is None else [_registration(i, r) for i, r in corrections.registrations]
 
 
 def _registration(index: int, found: Registration) -> dict[str, Any]:
