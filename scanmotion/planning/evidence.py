@@ -7,6 +7,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.table import TableGeometry
+from scanmotion.core.view_costs import ViewCosts
 from scanmotion.sensing.closed_surface import ClosedModel
 from scanmotion.sensing.free_space import Space
 from scanmotion.sensing.fusion.fuse import Cloud
@@ -31,12 +33,8 @@ _SAME_PLACE, _SAME_DIRECTION = 0.06, np.deg2rad(12.0)
 class Surroundings:
     """What the search must know of the cell, in O."""
 
-    table_radius: float
-    """[m]"""
-    table_z: float
-    """Height of the table's top [m]."""
-    pedestal_radius: float
-    """[m]"""
+    table: TableGeometry
+    costs: ViewCosts
 
 
 class Search:
@@ -44,7 +42,7 @@ class Search:
 
     def __init__(self, scanner: Scanner, surroundings: Surroundings, *, voxel: float, stride: int) -> None:
         self._scanner, self._around, self._voxel = scanner, surroundings, voxel
-        self._space = Space(scanner, edge=voxel, stride=stride, table_z=surroundings.table_z)
+        self._space = Space(scanner, edge=voxel, stride=stride, table_z=surroundings.table.z)
         self._frames = 0
         self._wary = _WARY
         self._model: ClosedModel | None = None
@@ -96,9 +94,8 @@ class Search:
             model=self._model,
             seconds=seconds,
             options=SelectOptions(least_rate=rate, wary=self._wary if self._frames else _WARY_OF_FILES),
-            table_radius=self._around.table_radius,
-            table_z=self._around.table_z,
-            pedestal_radius=self._around.pedestal_radius,
+            table=self._around.table,
+            costs=self._around.costs,
             reachable=None if reachable is None else lambda X: reachable(X) & self._untried(X),
             explain=explain,
             rng=rng,

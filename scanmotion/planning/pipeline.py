@@ -8,6 +8,8 @@ import numpy as np
 from scanmotion.cell.build import Cell, build_cell, check_room
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.settings import CellSettings
+from scanmotion.cell.table_of import table_of
+from scanmotion.cell.view_costs import view_costs
 from scanmotion.core.errors import PartError
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
@@ -147,11 +149,7 @@ class Trip:
         return Part(name=self.part.name, vertices=model.vertices, triangles=model.triangles)
 
     def _surroundings(self) -> Surroundings:
-        return Surroundings(
-            table_radius=self.settings.turntable.diameter_m / 2,
-            table_z=self.table_z,
-            pedestal_radius=self.settings.pedestal.diameter_m / 2,
-        )
+        return Surroundings(table=table_of(self.settings), costs=view_costs(self.settings))
 
     @property
     def table_z(self) -> float:

@@ -39,7 +39,8 @@ class Twin:
         self.samples = samples
         self.scene = scene_from(
             part.vertices, part.triangles,
-            table_radius=around.table_radius, table_z=around.table_z, pedestal_radius=around.pedestal_radius,
+            table_radius=around.table.radius, table_z=around.table.z,
+            pedestal_radius=around.table.pedestal_radius,
         )  # fmt: skip
 
     def scan(
@@ -88,8 +89,7 @@ class Twin:
         open_ = Targets(points=s.points[left], normals=s.normals[left], areas=np.full(len(left), s.area))
         why = open_surface(
             self.scene, self._scanner, open_, self.visible(seen)[left],
-            solid=self._part.vertices, reachable=reachable,
-            table_radius=self._around.table_radius, table_z=self._around.table_z,
+            solid=self._part.vertices, reachable=reachable, table=self._around.table,
         )  # fmt: skip
         out_of_reach = np.zeros(len(seen), bool)
         out_of_reach[left] = why == CANNOT_BE_REACHED
