@@ -5,7 +5,7 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from scanmotion.cell.build import TABLE, TOOL, Cell
-from scanmotion.cell.collision.sphere_filter import IGNORED_PAIRS
+from scanmotion.cell.collision.pairs import IGNORED_PAIRS
 from scanmotion.cell.drake_scene import add_cell
 
 

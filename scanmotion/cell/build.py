@@ -69,7 +69,7 @@ def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
 
 
 def check_room(cell: Cell) -> None:
-    """Refuses an obstacle in which the table turns, or what stands on it.
+    """Refuses an obstacle, or a solid fixed to the robot's base, in which the table or what is on it turns.
 
     What turns is taken as round: the table's top, and the circle that the part's farthest point draws.
 
@@ -82,6 +82,7 @@ def check_room(cell: Cell) -> None:
         p_TO = cell.part.vertices @ cell.X_TO[:3, :3].T + cell.X_TO[:3, 3]
         radius, z = float(np.hypot(p_TO[:, 0], p_TO[:, 1]).max()), p_TO[:, 2] + p_WT[2]
         turning.append(("the part as it turns", radius, float(z.min()), float(z.max())))
+    _check_base(cell, turning)
     for number, obstacle in enumerate(cell.settings.obstacles):
         X = pose(obstacle.centre_m, np.deg2rad(obstacle.yaw_deg))
         half = np.array(obstacle.size_m) / 2
@@ -94,6 +95,29 @@ def check_room(cell: Cell) -> None:
                     f"{obstacle.name} stands in {what}: {away * 1e3:.0f} mm from the axis, "
                     f"{radius * 1e3:.0f} mm are swept",
                     key=f"obstacles.{number}",
+                )
+
+
+def _check_base(cell: Cell, turning: list[tuple[str, float, float, float]]) -> None:
+    """Refuses a robot that stands in what turns: (name, radius, least and greatest height) [m]."""
+    import fcl
+
+    standing = [(b.name, b.size, cell.X_WT @ b.X_LG) for b in cell.bodies if b.link == TABLE]
+    for what, radius, low, high in turning:
+        middle = pose((*cell.X_WT[:2, 3], (low + high) / 2))
+        standing.append((what, (radius - 1e-6, high - low - 2e-6), middle))
+    for what, size, X_WG in standing:
+        turns = fcl.CollisionObject(fcl.Cylinder(*size), fcl.Transform(X_WG[:3, :3], X_WG[:3, 3]))
+        for body in cell.bodies:
+            if body.link != 0:
+                continue
+            X = cell.X_WB @ body.X_LG
+            shape = fcl.Box(*body.size) if body.shape == "box" else fcl.Cylinder(*body.size[:2])
+            solid = fcl.CollisionObject(shape, fcl.Transform(X[:3, :3].copy(), X[:3, 3].copy()))
+            if fcl.collide(solid, turns, fcl.CollisionRequest(), fcl.CollisionResult()):
+                raise CellError(
+                    f"the robot's base ({body.name}) stands in {what}: move the one or the other",
+                    key="turntable.position_m",
                 )
 
 
@@ -203,7 +227,9 @@ def _home(cell: Cell) -> np.ndarray:
         return home
     toward = cell.X_WB[:3, 3] - cell.X_WT[:3, 3]
     toward[2] = 0.0
-    toward /= max(np.linalg.norm(toward), 1e-9)
+    if np.linalg.norm(toward) < 0.05:
+        raise CellError("the turntable stands where the robot stands", key="turntable.position_m")
+    toward /= np.linalg.norm(toward)
     for height in (0.35, 0.5, 0.7, 0.2, 1.0):
         for distance in (1.0, 0.9, 1.2, 0.8):
             z = -toward

@@ -15,7 +15,7 @@ from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelD
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 
-from scanmotion.cell.collision.sphere_filter import IGNORED_PAIRS
+from scanmotion.cell.collision.pairs import ignored_carriers, on_floor
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 from scanmotion.cell.robot import Body
 
@@ -152,6 +152,16 @@ def add_cell(plant: MultibodyPlant, cell: Cell) -> dict[str, Any]:
     return {info.model_name: info.model_instance for info in added}
 
 
+def ignored_pairs(plant: MultibodyPlant, cell: Cell) -> list[tuple[Any, Any]]:
+    """Bodies of the plant that are not held against one another: see `collision.pairs`."""
+    arm, tool, floor = (plant.GetModelInstanceByName(name) for name in ("arm", "tool", "floor"))
+    of = {b.carrier: plant.GetBodyByName(b.carrier, arm) for b in cell.bodies if b.carrier}
+    of[""] = plant.GetBodyByName("tool", tool)
+    pairs = [(of[a], of[b]) for a, b in ignored_carriers(cell)]
+    standing = {b.carrier for b in cell.bodies if b.link < TOOL and not on_floor(cell, b)}
+    return pairs + [(of[name], plant.GetBodyByName("floor", floor)) for name in sorted(standing)]
+
+
 class DrakeCell:
     """Plant and collision checker of a cell; the part's true triangles are judged elsewhere.
 
@@ -185,27 +195,15 @@ class DrakeCell:
 
     def _groups(self, cell: Cell) -> dict[str, int]:
         """Value of Body.link for the name of each of the plant's bodies."""
-        joints = [self.plant.GetJointByName(n) for n in cell.settings.robot.joints]
-        links = [joints[0].parent_body(), *(j.child_body() for j in joints)]
-        return {b.name(): n for n, b in enumerate(links)} | {
-            "tool": TOOL,
+        return {b.carrier or "tool": b.link for b in cell.bodies if b.link <= TOOL} | {
             "stand": TABLE,
             "surroundings": WORLD,
         }
 
     def _filter(self, cell: Cell) -> None:
         """Links that touch by construction are not judged against one another."""
-        joints = [self.plant.GetJointByName(n) for n in cell.settings.robot.joints]
-        bodies = [
-            joints[0].parent_body(),
-            *(j.child_body() for j in joints),
-            self.plant.GetBodyByName("tool"),
-        ]
-        for a, b in sorted(IGNORED_PAIRS):
-            self.checker.SetCollisionFilteredBetween(bodies[a], bodies[b], True)
-        floor = self.plant.GetBodyByName("floor")
-        for body in bodies[:2]:
-            self.checker.SetCollisionFilteredBetween(body, floor, True)
+        for a, b in ignored_pairs(self.plant, cell):
+            self.checker.SetCollisionFilteredBetween(a, b, True)
 
     def positions(self, q: np.ndarray) -> np.ndarray:
         """The plant's positions for configurations (n, 7)."""

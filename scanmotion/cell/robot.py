@@ -2,7 +2,8 @@
 
 import functools
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
 
@@ -29,6 +30,10 @@ class Body:
     """Full sides (x, y, z), or (radius, length) [m]."""
     X_LG: np.ndarray
     """Pose of the solid in the link's frame, shape (4, 4)."""
+    carrier: str = ""
+    """Link of the URDF that has the solid; empty for the cell's own."""
+    side: bool = False
+    """Whether the carrier hangs by a side branch: before the base, on any link, past the flange."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -115,7 +120,8 @@ def robot_from_urdf(path: Path, joints: tuple[str, ...], flange: str) -> Robot:
         root = fromstring(path.read_text(encoding="utf-8"))
     except (ParseError, DefusedXmlException, UnicodeDecodeError, ValueError) as error:
         raise CellError(f"{name}: is not a readable URDF ({' '.join(str(error).split())[:120]})") from None
-    elements = {str(j.get("name")): j for j in root.iter("joint")}
+    # Transmissions and ros2_control name joints, too: only those of the robot itself count.
+    elements = {str(j.get("name")): j for j in root.findall("joint")}
     missing = [j for j in joints if j not in elements]
     if missing or len(joints) != 6:
         raise CellError(
@@ -129,6 +135,7 @@ def robot_from_urdf(path: Path, joints: tuple[str, ...], flange: str) -> Robot:
             f"{name}: the chain to {flange!r} moves by {moving}, not {list(joints)}", key="robot.joints"
         )
     X_PJ, axes, limits, links, X = [], [], [], {_link(chain[0], "parent", name): (0, np.eye(4))}, np.eye(4)
+    own = set()
     for joint in chain:
         X = X @ _origin(joint, f"{name}: joint {joint.get('name')}")
         if joint.get("type") != "fixed":
@@ -136,11 +143,13 @@ def robot_from_urdf(path: Path, joints: tuple[str, ...], flange: str) -> Robot:
             X = np.eye(4)
             axes.append(_axis(joint, name))
             limits.append(_limit(joint, name))
+            own |= {_link(joint, "parent", name), _link(joint, "child", name)}
         links[_link(joint, "child", name)] = (len(axes), X.copy())
+    _add_branches(links, elements.values(), name)
     low, high, speed = np.array(limits).T
     return Robot(
         name=str(root.get("name")), urdf=path, X_PJ=np.array(X_PJ), axes=np.array(axes), X_6F=X,
-        lower=low, upper=high, velocity=speed, bodies=tuple(_bodies(root, links, name)),
+        lower=low, upper=high, velocity=speed, bodies=tuple(_bodies(root, links, own, name)),
     )  # fmt: skip
 
 
@@ -182,18 +191,45 @@ def _limit(joint: Element, name: str) -> tuple[float, float, float]:
     return low, high, speed
 
 
-def _bodies(root: Element, links: dict[str, tuple[int, np.ndarray]], name: str) -> list[Body]:
+def _add_branches(links: dict[str, tuple[int, np.ndarray]], joints: Iterable[Element], name: str) -> None:
+    """Adds the links that hang on those of the chain by fixed joints, with the link that they move with."""
+    fixed = [j for j in joints if j.get("type") == "fixed"]
+    found = True
+    while found:
+        found = False
+        for joint in fixed:
+            parent, child = (_link(joint, role, name) for role in ("parent", "child"))
+            if parent in links and child not in links:
+                index, X_JL = links[parent]
+                links[child] = (index, X_JL @ _origin(joint, f"{name}: joint {joint.get('name')}"))
+                found = True
+
+
+def _bodies(root: Element, links: dict[str, tuple[int, np.ndarray]], own: set[str], name: str) -> list[Body]:
+    """The solids of all links; `own` are those that a joint of the chain has for parent or child.
+
+    Raises:
+        CellError: a solid that does not move with the chain; shapes that are not usable.
+    """
     bodies = []
-    for link in root.iter("link"):
-        if link.get("name") not in links:
+    for link in root.findall("link"):
+        carrier = str(link.get("name"))
+        if carrier not in links:
+            if link.find("collision") is not None:
+                raise CellError(
+                    f"{name}: link {carrier!r} has solids and is not fixed to the chain; make its joint "
+                    "fixed, or take its solids out",
+                    key="robot.model",
+                )
             continue
-        index, X_JL = links[str(link.get("name"))]
-        for n, collision in enumerate(link.iter("collision")):
-            label = collision.get("name") or f"{link.get('name')}_{n}"
+        index, X_JL = links[carrier]
+        for n, collision in enumerate(link.findall("collision")):
+            label = collision.get("name") or f"{carrier}_{n}"
             X = X_JL @ _origin(collision, f"{name}: {label}")
             geometry = collision.find("geometry")
             shape = geometry[0] if geometry is not None and len(geometry) else None
-            bodies.append(_body(label, index, shape, X, name))
+            body = _body(label, index, shape, X, name)
+            bodies.append(replace(body, carrier=carrier, side=carrier not in own))
     if not bodies:
         raise CellError(f"{name}: no collision geometry; boxes, cylinders and spheres are read")
     return bodies

@@ -23,7 +23,7 @@ def sure_points(cell: Cell, spheres: tuple) -> np.ndarray:
         cell: the cell.
         spheres: of `filter_from`.
     """
-    points, starts, _, groups = spheres
+    points, starts, _, groups, _ = spheres
     sure = np.zeros(len(points), bool)
     for g, link in enumerate(groups):
         rows = slice(starts[g], starts[g + 1])
@@ -132,7 +132,7 @@ def _blocked(q, sure, pad, chain, spheres, boxes, solid, world, grid):
     X = np.empty((8, 3, 4))
     _poses(q, chain, X)
     cos, sin = np.cos(q[6]), np.sin(q[6])
-    points, starts, bounds, groups = spheres
+    points, starts, bounds, groups, floored = spheres
     box_link, box_X, box_half, pairs, self_clearance = boxes
     clearance = world[2]
     T = np.empty((len(box_link), 12))
@@ -145,7 +145,7 @@ def _blocked(q, sure, pad, chain, spheres, boxes, solid, world, grid):
         link = groups[g]
         c = _placed(X[link], bounds[g])
         for b in range(len(box_link)):
-            if not (pairs[link, box_link[b]] and solid[b]):
+            if not (pairs[g, b] and solid[b]):
                 continue
             apart = bounds[g, 3] + middle[b, 3] + self_clearance
             gap = (c[0] - middle[b, 0]) ** 2 + (c[1] - middle[b, 1]) ** 2 + (c[2] - middle[b, 2]) ** 2
@@ -155,13 +155,13 @@ def _blocked(q, sure, pad, chain, spheres, boxes, solid, world, grid):
                 p = _placed(X[link], points[n])
                 if sure[n] and _box(p[0], p[1], p[2], T[b], box_half[b]) < self_clearance - pad:
                     return True
-        if _outside(c[0], c[1], c[2], link > 1, cos, sin, world, grid) > bounds[g, 3]:
+        if _outside(c[0], c[1], c[2], floored[g], cos, sin, world, grid) > bounds[g, 3]:
             continue
         for n in range(starts[g], starts[g + 1]):
             if not sure[n]:
                 continue
             p = _placed(X[link], points[n])
-            d = _at_most(p, link > 1, cos, sin, world, grid)
+            d = _at_most(p, floored[g], cos, sin, world, grid)
             if d < clearance - pad:
                 return True
     return False

@@ -197,7 +197,7 @@ class Clearance:
         model.beginModel(len(part.vertices), len(part.triangles))
         model.addSubModel(np.ascontiguousarray(part.vertices), np.ascontiguousarray(part.triangles))
         model.endModel()
-        bodies = [b for b in self.cell.bodies if 2 <= b.link <= TOOL]
+        bodies = [b for b in self.cell.bodies if 1 <= b.link <= TOOL]
         shapes = [fcl.CollisionObject(fcl.Box(*(2 * box_of(b))), fcl.Transform()) for b in bodies]
         ball = part.bounds.mean(axis=0), float(np.linalg.norm(part.extent)) / 2
         links = np.array([b.link for b in bodies])

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from scanmotion.cell.collision.pairs import ignored, on_floor
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 from scanmotion.cell.robot import Body
 from scanmotion.core.part import Part
@@ -23,11 +24,6 @@ For an arm as long as the KR 240; a shorter one has finer cells in proportion.
 _LONG_M = 3.6
 """The offsets of the KR 240's joints, one after the other."""
 GRID_M = 0.01
-IGNORED_PAIRS = frozenset({(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (0, 2), (4, 6), (6, 7), (5, 7)})
-"""Links that touch by construction, or whose boxes meet where the robot's bodies do not (robots.md 1.5).
-
-The tool turns about A6 before link 5 only, at a distance that its fixture sets.
-"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -82,18 +78,17 @@ def filter_from(
     starts = np.concatenate([[0], np.cumsum([len(c) for c in covers])])
     bounds = np.array([_bounding(c) for c in covers])
     robot = [b for b in cell.bodies if b.link <= TOOL]
-    pairs = np.ones((TOOL + 1, TOOL + 1), bool)
-    for a, b in IGNORED_PAIRS:
-        pairs[a, b] = pairs[b, a] = False
-    pairs &= np.tri(TOOL + 1, k=-1, dtype=bool)
+    of = {id(b): n for n, b in enumerate(robot)}
+    links = np.array([b.link for b in robot])
+    pairs = ~ignored(cell)[[of[id(b)] for b in moving]] & (groups[:, None] > links)
     return Filter(
         chain=(
             np.ascontiguousarray(cell.robot.X_PJ), np.ascontiguousarray(cell.robot.axes),
             np.ascontiguousarray(cell.X_WB), np.ascontiguousarray(cell.robot.X_6F),
         ),
-        spheres=(spheres, starts, bounds, groups),
+        spheres=(spheres, starts, bounds, groups, np.array([on_floor(cell, b) for b in moving])),
         boxes=(
-            np.array([b.link for b in robot]), np.array([b.X_LG for b in robot]),
+            links, np.array([b.X_LG for b in robot]),
             np.array([box_of(b) for b in robot]), pairs, float(self_clearance),
         ),
         world=(*_world_arrays(cell), float(clearance)),
@@ -291,7 +286,7 @@ def margin(q, chain, spheres, boxes, world, grid, enough):
     X = np.empty((8, 3, 4))
     _poses(q, chain, X)
     cos, sin = np.cos(q[6]), np.sin(q[6])
-    points, starts, bounds, groups = spheres
+    points, starts, bounds, groups, floored = spheres
     box_link, box_X, box_half, pairs, self_clearance = boxes
     T = np.empty((len(box_link), 12))
     middle = np.empty((len(box_link), 4))
@@ -302,7 +297,7 @@ def margin(q, chain, spheres, boxes, world, grid, enough):
     best = enough
     for g in range(len(groups)):
         link = groups[g]
-        floor = link > 1
+        floor = floored[g]
         c = _placed(X[link], bounds[g])
         if _outside(c[0], c[1], c[2], floor, cos, sin, world, grid) - bounds[g, 3] < best:
             for n in range(starts[g], starts[g + 1]):
@@ -311,7 +306,7 @@ def margin(q, chain, spheres, boxes, world, grid, enough):
                 if best < 0:
                     return best
         for b in range(len(box_link)):
-            if not pairs[link, box_link[b]]:
+            if not pairs[g, b]:
                 continue
             apart = bounds[g, 3] + middle[b, 3] + self_clearance + best
             gap = (c[0] - middle[b, 0]) ** 2 + (c[1] - middle[b, 1]) ** 2 + (c[2] - middle[b, 2]) ** 2

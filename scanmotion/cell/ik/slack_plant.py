@@ -18,8 +18,7 @@ from pydrake.solvers import SnoptSolver, SolverOptions
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
-from scanmotion.cell.collision.sphere_filter import IGNORED_PAIRS
-from scanmotion.cell.drake_scene import add_cell
+from scanmotion.cell.drake_scene import add_cell, ignored_pairs
 
 if TYPE_CHECKING:
     from scanmotion.cell.model import Cell
@@ -136,11 +135,11 @@ def _add_hull(plant: MultibodyPlant, cell: "Cell") -> None:
 
 def _filter(plant: MultibodyPlant, scene: SceneGraph, cell: "Cell") -> None:
     """Leaves out the pairs that touch by construction, and what does not belong to the robot."""
-    joints = [plant.GetJointByName(n) for n in cell.settings.robot.joints]
-    bodies = [joints[0].parent_body(), *(j.child_body() for j in joints), plant.GetBodyByName("tool")]
-    floor = plant.GetBodyByName("floor")
-    still = [floor, bodies[0], *(plant.GetBodyByName(n) for n in ("surroundings", "stand", "turntable"))]
-    pairs = [(bodies[a], bodies[b]) for a, b in sorted(IGNORED_PAIRS)] + [(bodies[1], floor)]
+    arm = plant.GetModelInstanceByName("arm")
+    base = {b.carrier: plant.GetBodyByName(b.carrier, arm) for b in cell.bodies if b.link == 0}
+    around = ("floor", "surroundings", "stand", "turntable")
+    still = [*base.values(), *(plant.GetBodyByName(n, plant.GetModelInstanceByName(n)) for n in around)]
+    pairs = ignored_pairs(plant, cell)
     pairs += [(a, b) for n, a in enumerate(still) for b in still[n + 1 :]]
     manager = scene.collision_filter_manager()
     for a, b in pairs:
