@@ -17,7 +17,6 @@ from scanmotion.sensing import visibility as coverage
 from scanmotion.sensing.visibility import (
     GUESSED,
     free_lines,
-    greedy_cover,
     hemisphere,
     in_view,
     revolution_poses,
@@ -28,6 +27,7 @@ from scanmotion.sensing.visibility import (
     turns_see,
     visible,
 )
+from scanmotion.views.cover import greedy_cover
 
 SCANNER = Scanner()
 FAR = (np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))

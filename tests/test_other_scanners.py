@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 from rounds import AROUND, SCANNER, TABLE, Rounds, block_with_pit
 
+from scanmotion.cell.build import build_cell
+from scanmotion.cell.scanner_presets import scanner_presets
 from scanmotion.cell.settings import load_cell, settings_from
 from scanmotion.cell.table_of import table_of
 from scanmotion.cell.view_costs import view_costs
-from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.cli.cells import check_home
+from scanmotion.core.errors import CellError
+from scanmotion.geometry.parts import box_part, carving, surface_samples
 from scanmotion.motion.timing.jerk_limited import ruckig_law
+from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.sensing.visibility import scene_from
 from scanmotion.views.candidate_views import CandidateOptions, candidates
 from scanmotion.views.next_best_views import SelectOptions
@@ -173,3 +178,61 @@ def test_the_tables_geometry_is_the_cells():
     assert (other.radius, other.z, other.pedestal_radius) == (0.5, -0.4, 0.1)
     # Half the short side, and half the long one with the clearance: the housing touches nothing.
     assert other.eye_above > 0.05 and other.rim_near > 0.05 and other.rim_far > 0.3 + 0.1
+
+
+def preset_cell(name):
+    """A cell with a preset; the table of the long-range one stands farther off."""
+    table = {"turntable": {"position_m": [3.0, 0.0]}} if name == "photoneo-phoxi-l" else {}
+    return settings_from({"scanner": {"model": name}, **table})
+
+
+@pytest.mark.parametrize("name", scanner_presets())
+def test_a_preset_has_stations_for_the_carving(name):
+    settings = preset_cell(name)
+    check_home(build_cell(settings))
+    scanner, table = settings.scanner_model(), table_of(settings)
+    part = carving()
+    samples = surface_samples(part, 150, rng=np.random.default_rng(3))
+    targets = Targets(points=samples.points, normals=samples.normals, areas=np.ones(150))
+    scene = scene_from(part.vertices, part.triangles, table_radius=table.radius)
+    options = CandidateOptions(seeds=40, directions=60, per_seed=12)
+    found = candidates(scene, scanner, targets, solid=part.vertices, table=table, options=options)
+    stations, usual = found.sees[~found.turns], load_cell("kr240").scanner_model()
+    assert len(stations) > 200 and stations.any(axis=1).mean() > 0.8
+    same = candidates(scene, usual, targets, solid=part.vertices, table=table, options=options)
+    assert stations.any(axis=0).sum() > 0.9 * same.sees[~same.turns].any(axis=0).sum()
+
+
+def test_presets_differ_from_the_built_in_scanner_and_from_one_another():
+    assert len(scanner_presets()) >= 3
+    optics = {load_cell("kr240").scanner_model().range}
+    for name in scanner_presets():
+        settings = preset_cell(name)
+        low, high = settings.scanner.range_m
+        assert (low, high) not in optics and low < settings.process.standoff_m < high
+        optics.add((low, high))
+
+
+def test_a_cell_goes_before_its_preset_but_not_in_the_scanner():
+    name = "artec-leo"
+    own = settings_from({"scanner": {"model": name}, "process": {"standoff_m": 0.5}, "tool": {"arm_m": 0.5}})
+    assert (own.process.standoff_m, own.tool.arm_m, own.process.fps) == (0.5, 0.5, 22.0)
+    with pytest.raises(CellError, match=r"scanner.model artec-leo has \[0.35, 1.2\]; leave out this key"):
+        settings_from({"scanner": {"model": name, "range_m": [0.4, 1.0]}})
+    with pytest.raises(CellError, match="unknown scanner 'leo'; known: artec-leo, artec-space-spider, photo"):
+        settings_from({"scanner": {"model": "leo"}})
+    # What a plan's folder keeps of its cell is read back as it was.
+    assert settings_from(own.model_dump(mode="json")) == own
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", scanner_presets())
+def test_a_preset_plans_the_carving(name, tmp_path):
+    settings = preset_cell(name)
+    options = PlanOptions(rounds=1, samples=8000, voxel=0.004, stride=4, seed=0)
+    made = plan(carving(), settings, options=options)
+    near, far = settings.scanner.range_m
+    views = [v for r in made.rounds for v in r.viewpoints]
+    local = [v for v in views if v.step == "local"]
+    assert local and all(near <= v.standoff <= far for v in views)
+    assert made.completeness()["global"] < made.completeness()["final"]

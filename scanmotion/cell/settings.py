@@ -8,6 +8,7 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from scanmotion.cell.scanner_presets import with_scanner_preset
 from scanmotion.core.errors import CellError
 from scanmotion.core.scanner import Scanner
 from scanmotion.geometry.parts import models_dir
@@ -114,6 +115,10 @@ class ObstacleSettings(_Settings):
 class ScannerSettings(_Settings):
     """Table 1 of the paper, and the noise of the scan twin."""
 
+    model: str | None = Field(
+        None,
+        description="preset that gives the keys below, and housing, standoff and frame rate; null for none",
+    )
     field_deg: tuple[Number, Number] = Field((30.0, 21.0), description="field of view, long and short side")
     range_m: tuple[Number, Number] = Field((0.4, 1.0), description="least and greatest working distance")
     max_incidence_deg: Number = Field(
@@ -287,7 +292,7 @@ def settings_from(data: dict[str, Any], *, folder: str = "") -> CellSettings:
         CellError: as load_cell.
     """
     try:
-        return CellSettings.model_validate({**data, "folder": folder})
+        return CellSettings.model_validate({**with_scanner_preset(data), "folder": folder})
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal")))

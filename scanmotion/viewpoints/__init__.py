@@ -34,7 +34,7 @@ _HOMES = {
     "turns_see": "sensing.visibility",
     "revolution_poses": "sensing.visibility",
     "visible": "sensing.visibility",
-    "greedy_cover": "sensing.visibility",
+    "greedy_cover": "views.cover",
     "cad_slicing": "views.cad_slicing",
     "surface_partitioning": "views.surface_partitioning",
     "show": "report.viewpoint_scene:",
@@ -59,7 +59,6 @@ if TYPE_CHECKING:
     from scanmotion.sensing.holes.find import holes_from_cloud as holes_from_cloud
     from scanmotion.sensing.holes.find import holes_from_mesh as holes_from_mesh
     from scanmotion.sensing.visibility import Scene as Scene
-    from scanmotion.sensing.visibility import greedy_cover as greedy_cover
     from scanmotion.sensing.visibility import revolution_poses as revolution_poses
     from scanmotion.sensing.visibility import scene_from as scene_from
     from scanmotion.sensing.visibility import seen_by_any as seen_by_any
@@ -67,6 +66,7 @@ if TYPE_CHECKING:
     from scanmotion.sensing.visibility import turns_see as turns_see
     from scanmotion.sensing.visibility import visible as visible
     from scanmotion.views.cad_slicing import cad_slicing as cad_slicing
+    from scanmotion.views.cover import greedy_cover as greedy_cover
     from scanmotion.views.hole_views import local_viewpoints as local_viewpoints
     from scanmotion.views.next_best_views import LocalStep as LocalStep
     from scanmotion.views.next_best_views import SelectOptions as SelectOptions
