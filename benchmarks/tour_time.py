@@ -27,9 +27,10 @@ from scanmotion.cell.settings import load_cell
 from scanmotion.core.part import Part
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.geometry.parts import carving, part_from_file
-from scanmotion.planning.outcome import Plan
+from scanmotion.planning.methods import PAPER
 from scanmotion.planning.pipeline import PlanOptions, plan
-from scanmotion.planning.segment import leg_from
+from scanmotion.planning.plan import Plan
+from scanmotion.planning.segment import segment_from
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 OVER_FLOOR, OF_PAPER = 1.10, 0.5
@@ -56,15 +57,15 @@ def paper_seconds(made: Plan, seed: int) -> tuple[float, float, int]:
     clearance = Clearance(made.cell)
     at, seconds, served = made.cell.home, 0.0, 0
     moved = 0.0
-    for number, item in enumerate(made.rounds):
-        leg = leg_from(
-            made.cell, clearance, item.leg.served, at,
-            mode="paper", longest_way=math.inf, rng=np.random.default_rng([seed, number]),
+    for number, item in enumerate(made.segments):
+        segment = segment_from(
+            made.cell, clearance, item.served, at,
+            method=PAPER, longest_way=math.inf, rng=np.random.default_rng([seed, number]),
         )  # fmt: skip
-        if leg.trajectory is not None:
-            at, seconds = leg.trajectory.q[-1], seconds + leg.trajectory.duration
-            moved += moves(leg.trajectory)
-        served += len(leg.served)
+        if segment.trajectory is not None:
+            at, seconds = segment.trajectory.q[-1], seconds + segment.trajectory.duration
+            moved += moves(segment.trajectory)
+        served += len(segment.served)
     return seconds, moved, served
 
 
@@ -76,7 +77,7 @@ def row(name: str, part: Part, seed: int, whole: bool) -> tuple[float, float]:
     took = time.perf_counter() - begun
     times = made.time_s()
     paper, moved, both = paper_seconds(made, seed)
-    views = sum(len(item.leg.served) for item in made.rounds)
+    views = sum(len(item.served) for item in made.segments)
     over, of = times["total"] / times["floor"], times["total"] / paper
     line = (
         f"{name:20} {views:5d} {both:5d} {times['total']:8.1f} {times['floor']:8.1f} {over:8.3f} {paper:8.1f}"

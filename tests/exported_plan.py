@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scanmotion.cell.kinematics import scanner_in_object, scanner_poses, tcp_jacobian
 from scanmotion.core.trajectory import joined
 from scanmotion.core.viewpoint import Slack, Viewpoint
-from scanmotion.planning.outcome import plan_record
+from scanmotion.planning.plan import plan_record
 
 SPEED = 0.1
 """What the sweep reaches, less a thousandth [m/s]."""
@@ -98,7 +98,7 @@ def made_by_hand(cell):
     plan = SimpleNamespace(
         part=cell.part, cell=cell, trajectory=trajectory, viewpoints=views, cloud=None, holes=None,
         options=SimpleNamespace(seed=7, mode="default", strategy="two-step", source="mesh"),
-        rounds=(SimpleNamespace(leg=SimpleNamespace(unreachable=())),), samples=None, visible=None,
+        segments=(SimpleNamespace(unreachable=()),), samples=None, visible=None,
     )  # fmt: skip
     plan.record = lambda: plan_record(plan)
     return plan

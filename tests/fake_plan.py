@@ -107,9 +107,9 @@ def fake_plan(cell):
         [3.0, 8.0, 2.0, 0.5],
         [("G1",), ("G1",), ("L1.1",), ("L1.1",)],
     )
-    rounds = (
-        SimpleNamespace(step="global", seen=sides.copy(), leg=None),
-        SimpleNamespace(step="local", seen=sides | top, leg=None),
+    segments = (
+        SimpleNamespace(step="global", seen=sides.copy()),
+        SimpleNamespace(step="local", seen=sides | top),
     )
     summary = {
         "viewpoints": {
@@ -128,7 +128,7 @@ def fake_plan(cell):
         part=part,
         cell=cell,
         options=SimpleNamespace(seed=7, mode="default", strategy="two-step", source="mesh"),
-        rounds=rounds,
+        segments=segments,
         trajectory=trajectory,
         cloud=None,
         holes=SimpleNamespace(holes=(fake_hole(),), tiny=(), notes=()),

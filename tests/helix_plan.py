@@ -14,7 +14,7 @@ from scanmotion.geometry.parts import box_part
 from scanmotion.motion.order.helix_choice import joined_stops
 from scanmotion.motion.timing.operations import time_plan
 from scanmotion.motion.transit.plan import transits
-from scanmotion.planning.outcome import plan_files, plan_record
+from scanmotion.planning.plan import plan_files, plan_record
 
 ARMS = np.deg2rad([[10, 20, -10, 5, 20, 0], [12, 14, -8, 5, 24, 4], [8, 8, -6, 0, 30, 8]])
 """The places, from home."""
@@ -48,14 +48,14 @@ def helix_tour(cell, overlap):
 
 
 def helix_plan(cell, overlap=1.0):
-    """What outcome.plan_files needs of a Plan."""
+    """What plan.plan_files needs of a Plan."""
     tour, paths = helix_tour(cell, overlap)
     X = poses_in_object(cell, np.array([s.q_in for s in turns(cell)]))
     views = tuple(station(f"G{n}", X[n], kind="revolution") for n in range(len(X)))
     plan: Any = SimpleNamespace(
         part=cell.part, cell=cell, trajectory=time_plan(cell, tour, paths), viewpoints=views,
         options=SimpleNamespace(seed=7, mode="default", strategy="two-step", source="mesh"),
-        rounds=(SimpleNamespace(leg=SimpleNamespace(unreachable=())),), cloud=None, holes=None, samples=None,
+        segments=(SimpleNamespace(unreachable=()),), cloud=None, holes=None, samples=None,
         visible=None,
     )  # fmt: skip
     plan.record = lambda: plan_record(plan)

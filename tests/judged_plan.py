@@ -18,7 +18,7 @@ from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.settings import load_cell
 from scanmotion.core.viewpoint import Slack, Viewpoint
 from scanmotion.geometry.parts import box_part
-from scanmotion.planning.outcome import plan_files, plan_record
+from scanmotion.planning.plan import plan_files, plan_record
 
 STANDOFF = 0.6
 KINDS = ["transit", "revolution", "transit", "sweep", "transit", "dwell"]
@@ -50,7 +50,7 @@ def station(name, X, *, kind: Any = "station", **more):
 
 
 def hand_made_plan():
-    """What outcome.plan_files needs of a Plan."""
+    """What plan.plan_files needs of a Plan."""
     part = box_part(0.2, 0.15, 0.4)
     cell = build_cell(load_cell("kr240"), part)
     a = cell.home + np.deg2rad([10, 20, -10, 5, 20, 0, 0])
@@ -68,11 +68,11 @@ def hand_made_plan():
         *(station(f"S{n}", X[n], sweep="S") for n in (1, 2, 3)),
         station("L1", X[4]),
     )
-    leg = SimpleNamespace(unreachable=(), served=views)
+    segment = SimpleNamespace(step="local", seen=np.zeros(0, bool), unreachable=(), served=views)
     plan: Any = SimpleNamespace(
         part=part, cell=cell,
         options=SimpleNamespace(seed=7, mode="default", strategy="two-step", source="mesh"),
-        rounds=(SimpleNamespace(step="local", seen=np.zeros(0, bool), leg=leg),), trajectory=trajectory,
+        segments=(segment,), trajectory=trajectory,
         cloud=None, holes=None, samples=None, visible=None, seen=None, viewpoints=views, unreachable=(),
         dropped=(), unscanned=(),
     )  # fmt: skip

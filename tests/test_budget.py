@@ -151,7 +151,7 @@ def test_the_summary_agrees_with_the_plan(planned):
     assert budget["by_order"][-1]["completeness"] == budget["curve"][0]["completeness"]
     assert budget["by_order"][-1]["seconds"] == pytest.approx(result.trajectory.duration, abs=0.01)
     left_out = [v for p in budget["curve"] for v in p["left_out"]]
-    served = [v.id for item in result.rounds for v in item.leg.served]
+    served = [v.id for item in result.segments for v in item.served]
     assert sorted(left_out) == sorted(served)
 
 
@@ -169,7 +169,7 @@ def test_advice_comes_true(planned, tmp_path):
 
 def test_the_report_shows_it(planned, tmp_path):
     folder, result = planned
-    late = replan(folder, done=result.rounds[0].leg.served[0].id, budget_s=20.0, options=OPTIONS)
+    late = replan(folder, done=result.segments[0].served[0].id, budget_s=20.0, options=OPTIONS)
     late.save(tmp_path / "late")
     page = report_html(late)
     budget = late.summary["budget"]

@@ -27,8 +27,8 @@ from scanmotion.motion.timing.helix import helix_motion, ramp_angle, turns_of, w
 from scanmotion.motion.transit_cost import jerk_limited_seconds, move_model, stop_seconds
 from scanmotion.plan_io.schema import csv_text
 from scanmotion.planning import helices as joining
-from scanmotion.planning.outcome import plan_files
 from scanmotion.planning.pipeline import PlanOptions, plan
+from scanmotion.planning.plan import plan_files
 
 TURN = 2 * np.pi
 OVERLAPS = (1.0, 0.5, 0.0)
@@ -399,13 +399,13 @@ def test_the_fastest_is_taken_that_sees_all_but_a_thousandth(monkeypatch, seen, 
         mask = np.arange(20_000) < {50.0: 10_000, **seen}[trajectory.duration]
         return SimpleNamespace(seen=mask)
 
-    monkeypatch.setattr(joining, "joined_leg", form)
+    monkeypatch.setattr(joining, "joined_segment", form)
     nothing: Any = None
     still: Any = leg(50.0)
-    made = joining.joined(nothing, nothing, still, simulated, np.random.default_rng(0))  # type: ignore[arg-type]
-    assert made.leg.trajectory is not None and made.leg.trajectory.duration == taken
-    assert made.record["taken"] == (taken < 50.0)
-    assert f"{taken:.1f} s" in made.record["note"]
+    made = joining.fastest_form(nothing, nothing, still, simulated, np.random.default_rng(0))  # type: ignore[arg-type]
+    assert made.segment.trajectory is not None and made.segment.trajectory.duration == taken
+    assert made.joining.taken == (taken < 50.0)
+    assert f"{taken:.1f} s" in made.joining.note
     assert len(asked) == scans and made.scan.seen.sum() == {50.0: 10_000, **seen}[taken]
 
 
@@ -429,23 +429,23 @@ def test_without_the_option_nothing_is_said_of_it(pitted_plan):
 
 
 def test_not_taken_the_plan_is_that_without_the_option(pitted_plan, monkeypatch):
-    monkeypatch.setattr(joining, "joined_leg", lambda *a, **k: None)
+    monkeypatch.setattr(joining, "joined_segment", lambda *a, **k: None)
     options = PlanOptions(seed=5, helix=True, **(TINY | {"rounds": 0}))
     made = plan(pitted(), load_cell("kr240"), options=options)
-    assert made.helix is not None and made.helix["taken"] is False
+    assert made.joining is not None and made.joining.taken is False
     text = csv_text(made.trajectory).splitlines()
     assert csv_text(pitted_plan.trajectory).splitlines()[: len(text)] == text
-    assert np.array_equal(made.rounds[0].seen, pitted_plan.rounds[0].seen)
+    assert np.array_equal(made.segments[0].seen, pitted_plan.segments[0].seen)
 
 
 def test_taken_it_is_faster_and_judged(allowed, pitted_plan):
-    still = next(r for r in pitted_plan.rounds if r.step == "global")
-    assert allowed.helix["taken"]
-    assert allowed.trajectory.duration < still.leg.trajectory.duration
-    assert allowed.helix["still_seconds"] == pytest.approx(still.leg.trajectory.duration, abs=1e-3)
-    assert allowed.rounds[0].seen.sum() >= 0.999 * still.seen.sum()
+    still = next(r for r in pitted_plan.segments if r.step == "global")
+    assert allowed.joining.taken
+    assert allowed.trajectory.duration < still.trajectory.duration
+    assert allowed.joining.still_seconds == pytest.approx(still.trajectory.duration, abs=1e-3)
+    assert allowed.segments[0].seen.sum() >= 0.999 * still.seen.sum()
     assert any(o.kind == "helix" for o in allowed.trajectory.operations)
     assert list(allowed.findings) == []
     assert allowed.summary["time_s"]["floor"] <= allowed.trajectory.duration
     served = {v for o in allowed.trajectory.operations if o.scanning for v in o.viewpoints}
-    assert served == {v.id for v in still.leg.served}
+    assert served == {v.id for v in still.served}

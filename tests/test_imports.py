@@ -118,6 +118,33 @@ def test_every_public_name_loads():
         assert getattr(scanmotion, name) is not None
 
 
+@pytest.mark.parametrize("path", sorted((ROOT / "planning").glob("*.py")), ids=lambda p: p.stem)
+def test_planning_assigns_no_attribute(path):
+    """A state is a value: nothing in planning/ changes one, and every class there is frozen."""
+    tree = ast.parse(path.read_text())
+    allowed = {
+        id(node)
+        for method in ast.walk(tree)
+        if isinstance(method, ast.FunctionDef) and method.name == "__post_init__"
+        for node in ast.walk(method)
+    }
+    for node in ast.walk(tree):
+        targets = {
+            ast.Assign: lambda n: n.targets, ast.AugAssign: lambda n: [n.target],
+            ast.AnnAssign: lambda n: [n.target], ast.Delete: lambda n: n.targets,
+            ast.For: lambda n: [n.target], ast.With: lambda n: [i.optional_vars for i in n.items],
+        }.get(type(node), lambda n: [])(node)  # fmt: skip
+        for target in (inner for t in targets if t is not None for inner in ast.walk(t)):
+            stored = isinstance(target, ast.Attribute) and not isinstance(target.ctx, ast.Load)
+            assert not stored or id(target) in allowed, f"line {target.lineno} assigns an attribute"
+        if isinstance(node, ast.Call):
+            name = ast.unparse(node.func)
+            assert name not in ("setattr", "object.__setattr__") or id(node) in allowed, f"line {node.lineno}"
+        if isinstance(node, ast.ClassDef) and "Protocol" not in {ast.unparse(b) for b in node.bases}:
+            frozen = [d for d in node.decorator_list if "frozen=True" in ast.unparse(d)]
+            assert frozen, f"class {node.name} is not a frozen dataclass"
+
+
 def test_loops_on_threads_take_them_from_one_place():
     for path in FILES:
         if "parallel=True" in path.read_text():

@@ -1,4 +1,4 @@
-"""What a leg leaves out for its seconds, and that the seconds are true."""
+"""What a segment leaves out for its seconds, and that the seconds are true."""
 
 import re
 
@@ -10,7 +10,7 @@ from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.settings import load_cell
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
 from scanmotion.geometry.parts import box_part
-from scanmotion.planning.segment import leg_from
+from scanmotion.planning.segment import segment_from
 
 DEAR = re.compile(r"not worth its seconds: it would cost (\d+\.\d) s")
 
@@ -41,53 +41,53 @@ def views():
 
 
 @pytest.fixture(scope="module")
-def legs(cell, clearance, views):
+def segments(cell, clearance, views):
     """By what each viewpoint may cost [s]; the same draws for all."""
 
     def made(worth=None, **options):
         rng = np.random.default_rng(3)
-        return leg_from(cell, clearance, views, cell.home, worth=worth, rng=rng, **options)
+        return segment_from(cell, clearance, views, cell.home, worth=worth, rng=rng, **options)
 
     return made
 
 
 @pytest.fixture(scope="module")
-def whole(legs):
-    return legs()
+def whole(segments):
+    return segments()
 
 
-def test_all_are_served_where_nothing_is_too_dear(legs, whole, views):
+def test_all_are_served_where_nothing_is_too_dear(segments, whole, views):
     assert whole.unreachable == () and set(whole.served) == set(views)
-    rich = legs({v.id: 1e6 for v in views})
+    rich = segments({v.id: 1e6 for v in views})
     assert rich.trajectory.q.tobytes() == whole.trajectory.q.tobytes()
     # What is not named may cost anything.
-    assert legs({}).trajectory.q.tobytes() == whole.trajectory.q.tobytes()
+    assert segments({}).trajectory.q.tobytes() == whole.trajectory.q.tobytes()
 
 
-def test_a_leg_from_which_all_is_left_out_is_empty(legs, views):
-    poor = legs({v.id: 0.0 for v in views})
+def test_a_segment_from_which_all_is_left_out_is_empty(segments, views):
+    poor = segments({v.id: 0.0 for v in views})
     assert poor.trajectory is None and poor.tour.stops == () == poor.served
     assert {name for name, reason in poor.unreachable if DEAR.fullmatch(reason)} == {v.id for v in views}
 
 
 @pytest.mark.parametrize("name", ["V0", "V1", "V2", "V3"])
-def test_what_is_left_out_saves_what_it_would_have_cost(legs, whole, name):
-    poor = legs({name: 0.0})
+def test_what_is_left_out_saves_what_it_would_have_cost(segments, whole, name):
+    poor = segments({name: 0.0})
     assert [lost for lost, _ in poor.unreachable] == [name]
     cost = float(DEAR.fullmatch(poor.unreachable[0][1])[1])
     assert cost > 0.2
     # The direct way past it is foreseen to within some tenths of a second, or another order is better still.
     saved = whole.trajectory.duration - poor.trajectory.duration
     assert saved > cost - 0.6
-    stays = legs({name: cost + 0.1})
+    stays = segments({name: cost + 0.1})
     assert stays.unreachable == () and stays.trajectory.q.tobytes() == whole.trajectory.q.tobytes()
 
 
-def test_a_way_too_long_is_not_driven(legs, whole, views):
+def test_a_way_too_long_is_not_driven(segments, whole, views):
     ways = {o.viewpoints: o.t_end - o.t_start for o in whole.trajectory.operations if o.kind == "transit"}
     longest = max(ways, key=ways.__getitem__)
     limit = 0.5 * (ways[longest] + sorted(ways.values())[-2])
-    left = legs(longest_way=limit)
+    left = segments(longest_way=limit)
     assert left.unreachable[0][0] == longest[0]
     assert f"the way there takes {ways[longest]:.1f} s" in left.unreachable[0][1]
     # What stays has short ways, or nothing stays.

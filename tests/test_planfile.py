@@ -31,7 +31,7 @@ from scanmotion.plan_io.schema import (
     read_text,
     read_trajectory,
 )
-from scanmotion.planning.outcome import plan_files
+from scanmotion.planning.plan import plan_files
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,10 @@ from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.settings import load_cell
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
 from scanmotion.geometry.parts import box_part
-from scanmotion.planning.outcome import Plan, Round
-from scanmotion.planning.pipeline import PlanOptions
-from scanmotion.planning.segment import leg_from
+from scanmotion.planning.methods import PAPER
+from scanmotion.planning.options import PlanOptions
+from scanmotion.planning.plan import Plan
+from scanmotion.planning.segment import segment_from
 
 MOST = 5
 """Viewpoints or sweeps of one set."""
@@ -57,22 +58,22 @@ def random_set(rng):
 def check(cell, clearance, seed):
     """A judged plan of the set, every viewpoint served or with a reason."""
     views = random_set(np.random.default_rng(seed))
-    leg = leg_from(cell, clearance, views, cell.home, rng=np.random.default_rng(seed))
-    served = [v for stop in leg.tour.stops for v in stop.viewpoints]
-    lost = dict(leg.unreachable)
+    segment = segment_from(cell, clearance, views, cell.home, step="global", rng=np.random.default_rng(seed))
+    served = [v for stop in segment.tour.stops for v in stop.viewpoints]
+    lost = dict(segment.unreachable)
     assert sorted(served + list(lost)) == sorted(v.id for v in views), seed
     assert all(len(reason) > 10 for reason in lost.values()), seed
-    assert [v.id for v in leg.served] == [v.id for v in views if v.id in set(served)]
-    if leg.trajectory is None:
+    assert [v.id for v in segment.served] == [v.id for v in views if v.id in set(served)]
+    if segment.trajectory is None:
         assert not served, seed
         return len(served), len(views)
-    scanned = [v for o in leg.trajectory.operations if o.scanning for v in o.viewpoints]
+    scanned = [v for o in segment.trajectory.operations if o.scanning for v in o.viewpoints]
     assert scanned == served, seed
-    assert leg.tour.floor <= leg.trajectory.duration, seed
+    assert segment.tour.floor <= segment.trajectory.duration, seed
     made = Plan(
         part=cell.part, cell=cell, options=PlanOptions(source="box"),
-        rounds=(Round(step="global", leg=leg, seen=np.zeros(0, bool)),),
-        trajectory=leg.trajectory, cloud=None, holes=None, samples=None, visible=None,
+        segments=(segment,),
+        trajectory=segment.trajectory, cloud=None, holes=None, samples=None, visible=None,
     )  # fmt: skip
     found = [f for f in made.findings if f.code != "budget"]
     assert not found, (seed, found)
@@ -98,11 +99,15 @@ def test_a_thousand_random_sets(cell, clearance):
 )
 def test_the_paper_s_order_takes_the_same_sets(cell, clearance, seed):
     views = random_set(np.random.default_rng(seed))
-    leg = leg_from(cell, clearance, views, cell.home, mode="paper", rng=np.random.default_rng(seed))
-    served = [v for stop in leg.tour.stops for v in stop.viewpoints]
-    assert sorted(served + [v for v, _ in leg.unreachable]) == sorted(v.id for v in views)
+    segment = segment_from(cell, clearance, views, cell.home, method=PAPER, rng=np.random.default_rng(seed))
+    served = [v for stop in segment.tour.stops for v in stop.viewpoints]
+    assert sorted(served + [v for v, _ in segment.unreachable]) == sorted(v.id for v in views)
 
 
-def test_an_empty_set_is_an_empty_leg(cell, clearance):
-    leg = leg_from(cell, clearance, (), cell.home, rng=np.random.default_rng(0))
-    assert leg.trajectory is None and leg.reaches == () == leg.unreachable and leg.tour.stops == ()
+def test_an_empty_set_is_an_empty_segment(cell, clearance):
+    segment = segment_from(cell, clearance, (), cell.home, rng=np.random.default_rng(0))
+    assert (
+        segment.trajectory is None
+        and segment.reaches == () == segment.unreachable
+        and segment.tour.stops == ()
+    )

@@ -12,7 +12,7 @@ from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
 from scanmotion.core.table import TableGeometry
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
-from scanmotion.planning.evidence import Search, Surroundings
+from scanmotion.planning.evidence import Surroundings, next_views, no_evidence
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.sensing.fusion.fuse import Cloud
 
@@ -43,16 +43,17 @@ def rounds(monkeypatch):
         )
 
     monkeypatch.setattr(module, "local_step", step)
-    search = Search(Scanner(), AROUND, voxel=0.002, stride=4)
+    nothing = no_evidence(Scanner(), AROUND, spacing=0.002, stride=4)
 
-    def ask(points):
-        _, worth = search.step(
-            cloud(points), (), rate=RATE, seconds=60.0, reachable=None, explain=False,
+    def ask(evidence, points):
+        found = next_views(
+            evidence, cloud(points), (), rate=RATE, seconds=60.0, reachable=None, explain=False,
             rng=np.random.default_rng(0),
         )  # fmt: skip
-        return calls[-1], worth
+        return found.evidence, calls[-1], found.worth
 
-    return search, ask, calls
+    # One frame that looks at nothing.
+    return nothing.with_frames(np.eye(4)[None], np.zeros((1, 2, 2))), nothing, ask, calls
 
 
 def promised(calls, share):
@@ -65,14 +66,13 @@ FAR = [[5.0, 5.0, 5.0]]
 
 
 def test_a_round_that_keeps_its_promises_is_followed_by_one_like_it(rounds):
-    search, ask, calls = rounds
-    search._frames = 1
-    first, worth = ask(FAR)
+    evidence, _, ask, calls = rounds
+    evidence, first, worth = ask(evidence, FAR)
     assert first["claimed"] is None and first["options"].wary == pytest.approx(np.deg2rad(8))
     assert first["options"].least_rate == RATE
     assert worth == {"L1": pytest.approx(3e-4 / (RATE * AREA))}
     for share in (1.0, 0.8, 0.5):
-        given, worth = ask(np.concatenate([FAR, promised(calls, share)]))
+        evidence, given, worth = ask(evidence, np.concatenate([FAR, promised(calls, share)]))
         # What was not kept of the last promises is taken off the next ones; claimed places stay claimed.
         assert given["options"].least_rate == pytest.approx(RATE / share)
         assert given["options"].wary == pytest.approx(np.deg2rad(8))
@@ -80,23 +80,44 @@ def test_a_round_that_keeps_its_promises_is_followed_by_one_like_it(rounds):
 
 
 def test_a_round_in_vain_is_followed_by_warier_ones_that_may_try_the_same_places(rounds):
-    search, ask, calls = rounds
-    search._frames = 1
-    ask(FAR)
+    evidence, _, ask, calls = rounds
+    evidence, _, _ = ask(evidence, FAR)
     for wary in (20, 32):
-        given, _ = ask(np.concatenate([FAR, promised(calls, 0.4)]))
+        evidence, given, _ = ask(evidence, np.concatenate([FAR, promised(calls, 0.4)]))
         assert given["options"].wary == pytest.approx(np.deg2rad(wary)) and given["claimed"] is None
         assert given["options"].least_rate == pytest.approx(2 * RATE)
     # That was the last time: now little is hoped for.
-    given, _ = ask(FAR)
+    _, given, _ = ask(evidence, FAR)
     assert given["options"].wary == pytest.approx(np.deg2rad(32)) and len(given["claimed"]) == 10
     assert given["options"].least_rate == pytest.approx(RATE / 0.05)
 
 
 def test_a_scan_without_frames_is_taken_warily(rounds):
-    _, ask, _ = rounds
-    given, _ = ask(FAR)
+    _, nothing, ask, _ = rounds
+    _, given, _ = ask(nothing, FAR)
     assert given["options"].wary == pytest.approx(np.deg2rad(15)) and given["space"] is None
+
+
+def test_evidence_is_a_value(rounds):
+    """The same evidence gives the same round however often it is asked, and grows into others."""
+    evidence, nothing, ask, _ = rounds
+    first, _, _ = ask(evidence, FAR)
+    assert (evidence.claimed, evidence.model, nothing.frames) == ((), None, 0)
+    for _ in range(2):
+        again, given, _ = ask(evidence, FAR)
+        assert given["claimed"] is None and len(again.claimed) == 1 == len(first.claimed)
+    place = look_at([0.5, 0, 0.2], [-1, 0, 0])
+    tried = evidence.with_tried([place])
+    assert evidence.untried(place[None]).all() and not tried.untried(place[None]).any()
+
+
+def test_a_space_with_more_frames_leaves_the_first_as_it_was():
+    """A frame that looks down past a place has looked through it; the space before has not."""
+    down, place = look_at([0, 0, 1.0], [0, 0, -1]), np.array([[0.0, 0.0, 0.5]])
+    before = no_evidence(Scanner(), AROUND, spacing=0.002, stride=1).space
+    after = before.with_frames(down[None], np.full((1, 8, 8), 0.9))
+    more = after.with_frames(look_at([0, 0, -1.0], [0, 0, 1])[None], np.full((1, 8, 8), 0.1))
+    assert not before.passed(place).any() and after.passed(place).all() and more.passed(place).all()
 
 
 def lying_ring(radius=0.2, tube=0.03, around=60, facets=40):

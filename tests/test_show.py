@@ -99,7 +99,7 @@ def test_surface_appears_when_a_frame_first_sees_it(plan):
     assert (np.diff(ends) > 0).all() and len(ends) == 8 + 1  # eight seconds of turning, one short dwell
     np.testing.assert_array_equal(first >= 0, plan.seen)
     # Nothing that only the local round has seen appears in the global step.
-    only_local = plan.seen & ~plan.rounds[0].seen
+    only_local = plan.seen & ~plan.segments[0].seen
     t, X_OS = sight._poses(plan)
     part, table = plan.part, plan.cell.settings.turntable
     scene = scene_from(part.vertices, part.triangles, table_radius=table.diameter_m / 2, table_z=0.0)

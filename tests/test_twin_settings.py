@@ -24,7 +24,7 @@ from scanmotion.plan_io.measured import calibration_record, surface_record
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.sensing.assess import signed_distances
 from scanmotion.sensing.calibration import PARAMETERS, Calibration, errors_from
-from scanmotion.sensing.corrections import Mender, Mending, moved
+from scanmotion.sensing.corrections import Corrections, corrected_scan, moved
 from scanmotion.sensing.fusion.fuse import fuse
 from scanmotion.sensing.scan_files import load_scan
 from scanmotion.sensing.simulator.captures import ScanErrors, motion
@@ -182,7 +182,7 @@ def test_local_rounds_are_registered_and_said_so(planted):
     found = made.summary["registration"]
     assert len(found) == len(made.scans) - 1 >= 1
     for item in found:
-        assert made.rounds[item["round"] - 1].step == "local"
+        assert made.segments[item["round"] - 1].step == "local"
         assert 0 < item["rms_mm"] < 0.5 and 0 < item["fitness"] <= 1
         assert item["statement"].startswith("trusted" if item["trusted"] else "not to be trusted")
     assert set(made.summary["accuracy"]) == {"mean_abs_mm", "sd_signed_mm", "mean_signed_mm"}
@@ -192,14 +192,14 @@ def test_local_rounds_are_registered_and_said_so(planted):
 
 def test_without_constant_errors_nothing_is_estimated_or_kept():
     made = plan(bumpy(30), load_cell("kr240"), options=PlanOptions(**{**OPTIONS, "rounds": 0}))
-    assert made.mending is None and made.scans == ()
+    assert made.corrections is None and made.scans == ()
     assert made.summary["calibration"] is None and made.summary["registration"] == []
 
 
 def test_options_win_over_the_cells_errors(planted):
     told = PlanOptions(errors=ScanErrors.none(), **{**OPTIONS, "rounds": 0})
     made = plan(bumpy(30), planted, options=told)
-    assert made.mending is None
+    assert made.corrections is None
     assert made.accuracy().mean_abs < 0.02e-3
 
 
@@ -228,7 +228,7 @@ def test_the_final_table_shows_what_calibration_bought(lumps):
     assert twin_rows(told) == [("round 2 on the cloud", "trusted: yes")]
 
 
-# Mending by itself.
+# Corrections by themselves.
 
 
 def test_a_moved_scan_shows_the_same_range_images(lump):
@@ -245,11 +245,12 @@ def test_a_moved_scan_shows_the_same_range_images(lump):
 def test_a_later_scan_is_put_back_where_it_belongs(lump, lump_cloud):
     later = turns(lump, ScanErrors(), seed=3, n=6)
     X = motion(np.array([[6e-4, -4e-4, 5e-4, 2e-3, -1e-3, 2e-3]]))[0]
-    mender = Mender(lump, voxel=0.002)
-    mended = mender.mended(moved(later, X), lump_cloud, index=1)
-    ((index, found),) = mender.mending.registrations
+    better, known = corrected_scan(
+        moved(later, X), lump_cloud, Corrections(), part=lump, voxel=0.002, index=1
+    )
+    ((index, found),) = known.registrations
     assert index == 1 and found.trusted
-    off = np.linalg.norm(mended.points_O.astype(float) - later.points_O, axis=1)
+    off = np.linalg.norm(better.points_O.astype(float) - later.points_O, axis=1)
     assert off.max() < 0.1e-3 < np.linalg.norm(moved(later, X).points_O - later.points_O, axis=1).mean()
 
 
@@ -257,11 +258,10 @@ def test_a_scan_that_can_slide_stays_where_it_is():
     plate = box_part(0.4, 0.4, 0.05)
     X = np.stack([look_at((x, 0.0, 0.7), (0, 0, -1)) for x in (0.0, 0.01, -0.01)])
     first, later = (simulate(plate, SCANNER, still_captures(X), rng=np.random.default_rng(k)) for k in (0, 1))
-    mender = Mender(plate, voxel=0.002)
     cloud = fuse([first])
     shifted = moved(later, motion(np.array([[5e-4, 0, 0, 0, 0, 0]]))[0])
-    inner = mender.mended(shifted, cloud, index=2)
-    ((_, found),) = mender.mending.registrations
+    inner, known = corrected_scan(shifted, cloud, Corrections(), part=plate, voxel=0.002, index=2)
+    ((_, found),) = known.registrations
     assert not found.trusted and "free" in found.statement
     np.testing.assert_array_equal(inner.points_O, shifted.points_O)
 
@@ -270,9 +270,9 @@ def test_one_turn_tells_the_errors_not_apart_and_is_left_alone(lump):
     X = np.stack([look_at((0.7 * np.cos(a), 0.7 * np.sin(a), 0.1), (-np.cos(a), -np.sin(a), 0))
                   for a in np.linspace(0, 2 * np.pi, 24, endpoint=False)])  # fmt: skip
     scan = simulate(lump, SCANNER, still_captures(X), rng=np.random.default_rng(0))
-    mender = Mender(lump, voxel=0.002)
-    assert mender.mended(scan, None, index=0) is scan
-    record = calibration_record(mender.mending)
+    same, known = corrected_scan(scan, None, Corrections(), part=lump, voxel=0.002, index=0)
+    assert same is scan
+    record = calibration_record(known)
     assert not record["applied"] and record["statement"].endswith("nothing is corrected")
     assert record["undetermined"] and record["global_cloud"]["before"] == record["global_cloud"]["after"]
 
@@ -281,16 +281,17 @@ def test_an_empty_or_lonely_scan_is_left_alone(lump, lump_cloud):
     away = look_at((0.7, 0, 0.1), (1, 0, 0))[None]
     empty = simulate(lump, SCANNER, still_captures(away), rng=np.random.default_rng(0))
     assert len(empty) == 0
-    mender = Mender(lump, voxel=0.002)
-    assert mender.mended(empty, None, index=0) is empty
-    assert mender.mended(empty, lump_cloud, index=1) is empty
+    nothing = Corrections()
+    for cloud in (None, lump_cloud):
+        same, known = corrected_scan(empty, cloud, nothing, part=lump, voxel=0.002, index=1)
+        assert same is empty and known is nothing
     one = simulate(
         lump, SCANNER, still_captures(look_at((0.7, 0, 0.1), (-1, 0, 0))[None]),
         rng=np.random.default_rng(0),
     )  # fmt: skip
     # A single frame overlaps nothing: there is nothing to calibrate from.
-    assert mender.mended(one, None, index=0) is one
-    assert mender.mending.calibration is None and mender.mending.registrations == ()
+    same, known = corrected_scan(one, None, Corrections(), part=lump, voxel=0.002, index=0)
+    assert same is one and known.calibration is None and known.registrations == ()
 
 
 def test_the_surface_is_assessed_both_ways():
@@ -313,11 +314,11 @@ def test_what_calibration_states_can_be_written_into_a_cell():
         errors=errors_from(theta), sd=np.abs(theta), known=theta > 0, rms_before=2e-4, rms_after=1e-4,
         statement="",
     )  # fmt: skip
-    record = calibration_record(Mending(calibration=found))
+    record = calibration_record(Corrections(calibration=found))
     assert record["undetermined"] == [p for p, t in zip(PARAMETERS, theta, strict=True) if t < 0]
     assert record["disagreement_mm"] == {"before": 0.2, "after": 0.1}
     for key, expected in (("estimated", theta), ("sd", np.abs(theta))):
         e = settings_from({"twin": record[key]}).twin_errors()
         told = [*e["hand_eye_m"], *e["hand_eye_rad"], *e["axis_m"], *e["axis_rad"], e["backlash_rad"]]
         np.testing.assert_allclose(told, expected, atol=2e-8)
-    assert calibration_record(None) is None and calibration_record(Mending()) is None
+    assert calibration_record(None) is None and calibration_record(Corrections()) is None

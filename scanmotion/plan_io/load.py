@@ -38,7 +38,7 @@ class LoadedPlan:
     viewpoints: tuple[Viewpoint, ...]
     unreachable: tuple[tuple[str, str], ...]
     trajectory: Trajectory
-    rounds: tuple[Any, ...]
+    segments: tuple[Any, ...]
     """Each with `step` and `seen`."""
     holes: Any
     """With `holes`, `tiny` and `notes`; None where there are none."""
@@ -49,7 +49,7 @@ class LoadedPlan:
     @property
     def seen(self) -> np.ndarray | None:
         """Which samples the whole plan sees, shape (n,)."""
-        return self.rounds[-1].seen if self.samples is not None and self.rounds else None
+        return self.segments[-1].seen if self.samples is not None and self.segments else None
 
 
 def load_plan(folder: str | Path) -> LoadedPlan:
@@ -90,7 +90,7 @@ def load_plan(folder: str | Path) -> LoadedPlan:
             (u["id"], u["reason"]) for u in summary["viewpoints"]["unreachable"]
         ),
         trajectory=read_trajectory(folder, record),
-        rounds=tuple(SimpleNamespace(step=a, seen=b) for a, b in zip(steps, seen, strict=False)),
+        segments=tuple(SimpleNamespace(step=a, seen=b) for a, b in zip(steps, seen, strict=False)),
         holes=read_holes(folder),
         samples=samples,
         visible=arrays.get("visible") if samples is not None else None,

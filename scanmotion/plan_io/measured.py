@@ -10,7 +10,7 @@ from scanmotion.core.part import Part
 from scanmotion.geometry.parts import surface_samples
 from scanmotion.sensing.assess import Accuracy, accuracy, distances_to, raycaster
 from scanmotion.sensing.calibration import PARAMETERS, Calibration
-from scanmotion.sensing.corrections import Mending
+from scanmotion.sensing.corrections import Corrections
 from scanmotion.sensing.fusion.fuse import Cloud
 from scanmotion.sensing.fusion.surface import deviation_mesh
 from scanmotion.sensing.registration import Registration
@@ -29,23 +29,23 @@ def millimetres(found: Accuracy | None) -> dict[str, float | None]:
     return {f"{n}_mm": None if found is None else round(getattr(found, n) * 1e3, 5) for n in names}
 
 
-def calibration_record(mending: Mending | None) -> dict[str, Any] | None:
-    """`calibration` of summary.json; None where the trip did not calibrate, or could not."""
-    if mending is None or mending.calibration is None:
+def calibration_record(corrections: Corrections | None) -> dict[str, Any] | None:
+    """`calibration` of summary.json; None where the plan does not calibrate, or could not."""
+    if corrections is None or corrections.calibration is None:
         return None
-    found = mending.calibration
+    found = corrections.calibration
     e = asdict(found.errors)
     values = [*e["hand_eye_m"], *e["hand_eye_rad"], *e["axis_m"], *e["axis_rad"], e["backlash_rad"]]
     return {
-        "applied": mending.applied,
+        "applied": corrections.applied,
         "estimated": _by_name(values),
         "sd": _by_name(found.sd),
         "undetermined": _undetermined(found),
         "disagreement_mm": {
             "before": round(found.rms_before * 1e3, 5), "after": round(found.rms_after * 1e3, 5),
         },
-        "global_cloud": {"before": millimetres(mending.before), "after": millimetres(mending.after)},
-        "statement": found.statement + ("" if mending.applied else "; nothing is corrected"),
+        "global_cloud": {"before": millimetres(corrections.before), "after": millimetres(corrections.after)},
+        "statement": found.statement + ("" if corrections.applied else "; nothing is corrected"),
     }  # fmt: skip
 
 
@@ -67,9 +67,9 @@ def _undetermined(found: Calibration) -> list[str]:
     return [name for name, known in zip(PARAMETERS, found.known, strict=True) if not known]
 
 
-def registration_records(mending: Mending | None) -> list[dict[str, Any]]:
+def registration_records(corrections: Corrections | None) -> list[dict[str, Any]]:
     """`registration` of summary.json: one entry for each scan after the first."""
-    return [] if mending is None else [_registration(i, r) for i, r in mending.registrations]
+    return [] if corrections is None else [_registration(i, r) for i, r in corrections.registrations]
 
 
 def _registration(index: int, found: Registration) -> dict[str, Any]:

@@ -162,7 +162,7 @@ def figures(
     told = replace(options or PlanOptions(), seed=seed, **VARIANTS[variant])
     result = plan(part, settings, options=told)
     accuracy, share, time_s = result.accuracy(), result.completeness(), result.time_s()
-    legs = [item.leg.trajectory for item in result.rounds if item.step == "global"]
+    parts = [item.trajectory for item in result.segments if item.step == "global"]
     first, final, reach = share["after_global"], share["final"], result.within_reach()
     return Figures(
         variant=variant, seed=seed,
@@ -172,9 +172,9 @@ def figures(
         mean_abs_mm=accuracy.mean_abs * 1e3 if accuracy else np.nan,
         sd_signed_mm=accuracy.sd_signed * 1e3 if accuracy else np.nan,
         time_s=float(time_s["total"]),
-        global_s=float(sum(leg.duration for leg in legs if leg is not None)),
+        global_s=float(sum(t.duration for t in parts if t is not None)),
         floor_s=float(time_s["floor"]),
-        viewpoints=sum(len(item.leg.served) for item in result.rounds),
+        viewpoints=sum(len(item.served) for item in result.segments),
         unreachable=len(result.unreachable),
         planning_s=float(result.planning_s["total"]),
     )  # fmt: skip

@@ -1,7 +1,11 @@
-"""What the twin shows to be worth less than its seconds, once all rounds are done."""
+"""Pruning: local viewpoints that the simulator shows to be worth less than their seconds are left out.
+
+Guarantees: the better of two values comes back, and neither of them is changed; what no longer fits into the
+budget is left out, the least worthy first. Assumes that nominal poses tell what a stop sees.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,9 +13,63 @@ from scanmotion.cell.build import Cell
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.core.part import SurfaceSamples
 from scanmotion.core.trajectory import Trajectory
-from scanmotion.planning.segment import Leg, costs
+from scanmotion.planning.context import Context
+from scanmotion.planning.segment import Segment, costs, with_left_out
+from scanmotion.planning.state import PlanState, extend, visible_from
 from scanmotion.sensing.simulator.captures import captures_from_trajectory
 from scanmotion.sensing.visibility import Scene, seen_by_any
+
+_TRIES = 6
+"""So often viewpoints are taken out until a programme is inside its budget."""
+
+
+def prune(ctx: Context, *, before: PlanState, after: PlanState) -> PlanState:
+    """The better of two states: as it was found, or with the worthwhile local viewpoints in one segment.
+
+    Args:
+        ctx: what planning reads.
+        before: the state before the local step.
+        after: the state after it.
+    """
+    local = [item for item in after.segments if item.step == "local"]
+    if not ctx.prunes or not any(item.trajectory is not None for item in local):
+        return after
+    after = replace(after, visible=visible_from(ctx, after))
+    stops = _stops_added(ctx, local, before=before, after=after)
+    base = replace(
+        before, holes=after.holes, unscanned=after.unscanned, visible=after.visible, evidence=after.evidence
+    )
+    shorter, out, save = after, {}, 0.0
+    for _ in range(_TRIES):
+        out = not_worth(stops, len(after.seen), rate=ctx.method.least_rate, save=save)
+        if not out and sum(item.trajectory is not None for item in local) == 1 and _over(ctx, after) <= 0:
+            return after
+        kept = tuple(v for item in local for v in item.served if v.id not in out)
+        shorter = extend(ctx, base, kept, step="local", rng=ctx.rng(30))
+        if _over(ctx, shorter) <= 0 or not kept:
+            break
+        save += _over(ctx, shorter) + 0.5
+    rate = ctx.method.least_rate
+    if _over(ctx, after) <= 0 and shorter.value(rate) <= after.value(rate):
+        return after
+    last = with_left_out(shorter.segments[-1], local, out)
+    return replace(shorter, segments=(*shorter.segments[:-1], last), searched=after.segments)
+
+
+def _over(ctx: Context, state: PlanState) -> float:
+    """By how much the programme is longer than its budget [s]; negative where it is shorter."""
+    return state.duration - ctx.budget_s
+
+
+def _stops_added(
+    ctx: Context, local: Sequence[Segment], *, before: PlanState, after: PlanState
+) -> "list[StopSeen]":
+    """What each stop of the local step costs, and sees of what it added."""
+    assert ctx.simulator is not None
+    open_ = np.flatnonzero(after.seen & ~before.seen)
+    with ctx.watch("prune"):
+        ctx.progress("prune", 0.0)
+        return stops_seen(ctx.cell, local, ctx.simulator.scene, ctx.simulator.samples, open_)
 
 
 def stop_masks(
@@ -59,25 +117,25 @@ class StopSeen:
 
 
 def stops_seen(
-    cell: Cell, legs: Sequence[Leg], scene: Scene, samples: SurfaceSamples, open_: np.ndarray
+    cell: Cell, segments: Sequence[Segment], scene: Scene, samples: SurfaceSamples, open_: np.ndarray
 ) -> list[StopSeen]:
-    """What each stop of the legs costs and sees.
+    """What each stop of the segments costs and sees.
 
     Args:
         cell: the cell.
-        legs: of the local rounds, in order.
+        segments: of the local rounds, in order.
         scene: what blocks sight.
         samples: of the surface.
         open_: indices of the samples that the global step has not seen, shape (m,).
     """
     found = []
-    for leg in legs:
-        if leg.trajectory is not None:
-            seconds = costs(cell, leg.tour, leg.trajectory)
-            masks = stop_masks(cell, leg.trajectory, scene, samples, open_)
+    for item in segments:
+        if item.trajectory is not None:
+            seconds = costs(cell, item.tour, item.trajectory)
+            masks = stop_masks(cell, item.trajectory, scene, samples, open_)
             found += [
                 StopSeen(viewpoints=stop.viewpoints, seconds=s, mask=m)
-                for stop, s, m in zip(leg.tour.stops, seconds, masks, strict=True)
+                for stop, s, m in zip(item.tour.stops, seconds, masks, strict=True)
             ]
     return found
 

@@ -16,9 +16,12 @@ from scanmotion.motion.reach.find import Reach
 from scanmotion.motion.transit_cost import move_model
 from scanmotion.plan_io.load import LoadedPlan, load_plan
 from scanmotion.plan_io.summary import read_cloud
-from scanmotion.planning.outcome import Plan
-from scanmotion.planning.pipeline import PlanOptions, Trip
-from scanmotion.planning.segment import Leg, Progress, silent
+from scanmotion.planning.context import Context, context_from
+from scanmotion.planning.options import PlanOptions
+from scanmotion.planning.pipeline import plan_from
+from scanmotion.planning.plan import Plan
+from scanmotion.planning.segment import Progress, Segment, silent
+from scanmotion.planning.state import PlanState, begin, extend, with_segment
 from scanmotion.sensing.fusion.fuse import Cloud
 
 __all__ = ["replan"]
@@ -64,21 +67,26 @@ def replan(
         process = settings.process.model_copy(update={"budget_s": budget_s})
         settings = settings.model_copy(update={"process": process})
     same: dict[str, Any] = {k: getattr(old.record, k) for k in ("source", "mode", "strategy", "seed")}
-    trip = Trip(old.part, settings, replace(options or PlanOptions(), **same), progress)
-    if trip.options.source == "scan":
-        trip.cloud = _cloud(Path(folder))
-    _resume(trip, old, finished, views)
+    ctx = context_from(old.part, settings, replace(options or PlanOptions(), **same), progress)
+    state = begin(ctx)
+    if ctx.measured is not None:
+        state = replace(state, cloud=_cloud(Path(folder)))
+    state = _with_executed(ctx, state, old, finished, views)
     given_up = dict(old.unreachable) | dict.fromkeys(failed, FAILED)
     for step in ("global", "local"):
         rest = [v for v in old.viewpoints if v.step == step and v.id not in served and v.id not in given_up]
         if rest:
-            rng = np.random.default_rng([trip.options.seed, len(served), len(trip.rounds)])
-            trip.run(tuple(rest), step, rng)
-    if not trip.rounds:
+            rng = np.random.default_rng([ctx.options.seed, len(served), len(state.segments)])
+            state = extend(ctx, state, rest, step=step, rng=rng)
+    if not state.segments:
         raise InputError(f"{folder}: no viewpoint is left to plan")
-    _leave_out(trip, [v for v in old.viewpoints if v.id in given_up], given_up)
-    made = replace(trip.plan(), holes=old.holes)
-    return made if trip.options.source == "mesh" else replace(made, unscanned=old.unscanned)
+    lost = [v for v in old.viewpoints if v.id in given_up]
+    last = _with_lost(state.segments[-1], lost, given_up)
+    state = replace(state, segments=(*state.segments[:-1], last), holes=old.holes)
+    if ctx.simulator is None:
+        state = replace(state, unscanned=old.unscanned)
+    others = [(name, why) for name, why in given_up.items() if name not in {v.id for v in lost}]
+    return plan_from(ctx, state, left_out=others)
 
 
 def last_operation(operations: Sequence[Operation], done: str) -> int:
@@ -110,18 +118,24 @@ def _check_failed(failed: Sequence[str], views: dict[str, Viewpoint], finished: 
             raise InputError(f"--failed {name}: operation {by[0]}, which is done, serves it")
 
 
-def _resume(trip: Trip, old: LoadedPlan, finished: Sequence[Operation], views: dict[str, Viewpoint]) -> None:
-    """Brings the trip to where the finished operations end, with a round for each step among them."""
+def _with_executed(
+    ctx: Context,
+    state: PlanState,
+    old: LoadedPlan,
+    finished: Sequence[Operation],
+    views: dict[str, Viewpoint],
+) -> PlanState:
+    """The state where the finished operations end, with a segment for each step among them."""
     steps = ["local" if any(views[v].step == "local" for v in o.viewpoints) else "global" for o in finished]
     first = 0
     while first < len(finished):
         last = first
         while last + 1 < len(finished) and steps[last + 1] == steps[first]:
             last += 1
-        piece = _piece(old.trajectory, first, last)
-        leg = _executed(trip, piece, views)
-        trip.take(leg, steps[first], np.random.default_rng([trip.options.seed, first, last]))
+        segment = _executed(ctx, _piece(old.trajectory, first, last), views, steps[first])
+        state = with_segment(ctx, state, segment, np.random.default_rng([ctx.options.seed, first, last]))
         first = last + 1
+    return state
 
 
 def _piece(whole: Trajectory, first: int, last: int) -> Trajectory:
@@ -141,8 +155,8 @@ def _piece(whole: Trajectory, first: int, last: int) -> Trajectory:
     )  # fmt: skip
 
 
-def _executed(trip: Trip, piece: Trajectory, views: dict[str, Viewpoint]) -> Leg:
-    """The leg that a piece of trajectory has served."""
+def _executed(ctx: Context, piece: Trajectory, views: dict[str, Viewpoint], step: str) -> Segment:
+    """The segment that a piece of trajectory has served."""
     stops = []
     for o in piece.operations:
         if o.scanning:
@@ -150,25 +164,24 @@ def _executed(trip: Trip, piece: Trajectory, views: dict[str, Viewpoint]) -> Leg
             kind: Any = o.kind
             stops.append(Stop(viewpoints=o.viewpoints, kind=kind, q_in=o.q_start, q_out=o.q_end, path=path))
     served = {v: s.q_in for s in stops for v in s.viewpoints}
-    model = move_model(trip.cell)
+    model = move_model(ctx.cell)
     tour = Tour(
         start_q=piece.q[0], stops=tuple(stops), seconds=piece.duration,
-        floor=floor_seconds(trip.cell, model, piece.q[0], stops, views),
+        floor=floor_seconds(ctx.cell, model, piece.q[0], stops, views),
     )  # fmt: skip
-    reaches = tuple(_reach(views[v], q[None]) for v, q in served.items())
-    return Leg(reaches=reaches, tour=tour, paths=(), trajectory=piece, unreachable=())
+    return Segment(
+        step=step, reaches=tuple(_reach(views[v], q[None]) for v, q in served.items()), tour=tour, paths=(),
+        trajectory=piece, unreachable=(), seen=np.zeros(0, bool),
+    )  # fmt: skip
 
 
-def _leave_out(trip: Trip, lost: Sequence[Viewpoint], reasons: dict[str, str]) -> None:
-    """Adds viewpoints that nothing serves to the last round, each with its reason."""
-    trip.dropped += [(v, why) for v, why in reasons.items() if v not in {w.id for w in lost}]
-    last = trip.rounds.pop()
-    leg = replace(
-        last.leg,
-        reaches=last.leg.reaches + tuple(_reach(v, np.zeros((0, 7))) for v in lost),
-        unreachable=last.leg.unreachable + tuple((v.id, reasons[v.id]) for v in lost),
+def _with_lost(segment: Segment, lost: Sequence[Viewpoint], reasons: dict[str, str]) -> Segment:
+    """The segment with viewpoints that nothing serves, each with its reason."""
+    return replace(
+        segment,
+        reaches=segment.reaches + tuple(_reach(v, np.zeros((0, 7))) for v in lost),
+        unreachable=segment.unreachable + tuple((v.id, reasons[v.id]) for v in lost),
     )
-    trip.rounds.append(replace(last, leg=leg))
 
 
 def _cloud(folder: Path) -> Cloud:

@@ -1,4 +1,8 @@
-"""One leg of the trip: viewpoints in, a timed trajectory out, and a reason for each viewpoint left behind."""
+"""A segment: viewpoints in, a timed trajectory out, and a reason for each viewpoint that is left out.
+
+Guarantees: each viewpoint is served by one stop or has a reason; the trajectory starts at rest in the
+configuration that is given. Assumes that this configuration is free.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,20 +11,15 @@ import numpy as np
 
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
-from scanmotion.cell.kinematics import scanner_in_object
-from scanmotion.cell.robot import clean_angle
 from scanmotion.core.errors import PathError
 from scanmotion.core.tour import Path, Tour
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint
-from scanmotion.motion.order.helix_choice import joined_stops
-from scanmotion.motion.order.lower_bound import floor_seconds
-from scanmotion.motion.order.sequence import sequence, tour_seconds
-from scanmotion.motion.reach.find import Reach, ReachOptions, reach
-from scanmotion.motion.reach.ik_candidates import candidates
+from scanmotion.motion.reach.find import Reach, reach
 from scanmotion.motion.timing.operations import time_plan
 from scanmotion.motion.transit.plan import transits
 from scanmotion.motion.transit_cost import move_matrix, move_model
+from scanmotion.planning.methods import DEFAULT, Method
 
 LONGEST_WAY_S = 15.0
 """A transit to a local viewpoint that takes longer is not driven [s]."""
@@ -33,17 +32,21 @@ def silent(stage: str, fraction: float) -> None:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Leg:
-    """What became of a set of viewpoints."""
+class Segment:
+    """What became of a set of viewpoints, and what had been seen when it was done."""
 
+    step: str
+    """"global" or "local"."""
     reaches: tuple[Reach, ...]
     """One for each viewpoint asked for."""
     tour: Tour
     paths: tuple[Path, ...]
     trajectory: Trajectory | None
-    """None where no viewpoint could be served."""
+    """From time 0; None where no viewpoint could be served."""
     unreachable: tuple[tuple[str, str], ...]
     """(id, reason), in the order of the viewpoints."""
+    seen: np.ndarray
+    """Which surface samples had been seen by then, shape (n,) bool; empty where nothing is simulated."""
 
     @property
     def served(self) -> tuple[Viewpoint, ...]:
@@ -52,19 +55,19 @@ class Leg:
         return tuple(r.viewpoint for r in self.reaches if r.viewpoint.id in ids)
 
 
-def leg_from(
+def segment_from(
     cell: Cell,
     clearance: Clearance,
     viewpoints: Sequence[Viewpoint],
     start_q: np.ndarray,
     *,
-    mode: str = "default",
-    table: str = "axis",
+    step: str = "local",
+    method: Method = DEFAULT,
     longest_way: float = LONGEST_WAY_S,
     worth: Mapping[str, float] | None = None,
     rng: np.random.Generator,
     progress: Progress = silent,
-) -> Leg:
+) -> Segment:
     """Reach, order, transit and timing of `viewpoints`, starting at rest in `start_q`.
 
     A stop whose transit stays blocked is taken out, with the pair of bodies that blocks it as its reason, and
@@ -75,26 +78,25 @@ def leg_from(
         clearance: the collision checker of the cell.
         viewpoints: what is to be visited.
         start_q: shape (7,) [rad].
-        mode: "default" orders by seconds; "paper" by distance, with the table for the unreachable only.
-        table: "fallback" keeps the table still for every station that the arm reaches without it; so does
-            mode "paper".
+        step: "global" or "local".
+        method: which configurations count, and how they are ordered.
         longest_way: a local viewpoint whose transit takes longer is left out [s].
         worth: by id, what a viewpoint may cost at most: its stop, and the way there and on less the way past
             it [s]. Those that cost more are left out.
-        rng: source of the search's random numbers.
+        rng: source of the random numbers of order and transit.
         progress: told the stage and the share done.
     """
     reaches = list(
         reach(cell, list(viewpoints), clearance=clearance, progress=lambda f: progress("reach", f))
     )
-    if table == "fallback" or mode == "paper":
-        reaches = _table_still(cell, clearance, reaches, 0.0 if mode == "paper" else float(start_q[6]))
+    if method.stations is not None:
+        reaches = method.stations(cell, clearance, reaches, start_q)
     reasons = {r.viewpoint.id: str(r.unreachable) for r in reaches if r.unreachable is not None}
     trajectory = None
     while True:
         todo = [r for r in reaches if r.viewpoint.id not in reasons]
         progress("order", 0.0)
-        tour = sequence(cell, todo, start_q=start_q, mode=mode, rng=rng, path_free=clearance.path_free)
+        tour = method.order(cell, todo, start_q=start_q, rng=rng, path_free=clearance.path_free)
         reasons.update(dict(tour.unplaced))
         try:
             paths = tuple(transits(cell, clearance, tour, rng=rng, progress=lambda f: progress("transit", f)))
@@ -112,47 +114,10 @@ def leg_from(
             break
         reasons.update(dear)
     order = [r.viewpoint.id for r in reaches]
-    unreachable = tuple((v, reasons[v]) for v in order if v in reasons)
-    return Leg(
-        reaches=tuple(reaches), tour=tour, paths=paths, trajectory=trajectory, unreachable=unreachable
+    return Segment(
+        step=step, reaches=tuple(reaches), tour=tour, paths=paths, trajectory=trajectory,
+        unreachable=tuple((v, reasons[v]) for v in order if v in reasons), seen=np.zeros(0, bool),
     )  # fmt: skip
-
-
-def joined_leg(
-    cell: Cell, clearance: Clearance, leg: Leg, overlap: float, *, rng: np.random.Generator
-) -> Leg | None:
-    """The leg with neighbouring revolutions joined to helices; None where that cannot be, or saves nothing.
-
-    Args:
-        cell: the cell, with the part that is scanned.
-        clearance: the collision checker of the cell.
-        leg: what was planned with every revolution by itself; a viewpoint stands in one stop only.
-        overlap: share of the arm's ways that counts for the whole turn of each viewpoint, 0..1.
-        rng: source of the planner's random numbers.
-    """
-    if leg.trajectory is None:
-        return None
-    seconds, way = [], 0.0
-    for o in leg.trajectory.operations:
-        if o.scanning:
-            seconds.append(way)
-        way = 0.0 if o.scanning else o.t_end - o.t_start
-    start = leg.tour.start_q
-    stops = joined_stops(cell, clearance, start, leg.tour.stops, seconds, overlap)
-    if all(stop.kind != "helix" for stop in stops):
-        return None
-    model, views = move_model(cell), {r.viewpoint.id: r.viewpoint for r in leg.reaches}
-    tour = replace(
-        leg.tour, stops=stops, seconds=tour_seconds(model, start, stops),
-        floor=floor_seconds(cell, model, start, stops, views),
-    )  # fmt: skip
-    try:
-        paths = tuple(transits(cell, clearance, tour, rng=rng))
-    except PathError:
-        return None
-    made = replace(leg, tour=tour, paths=paths, trajectory=time_plan(cell, tour, paths))
-    assert made.trajectory is not None
-    return made if made.trajectory.duration < leg.trajectory.duration else None
 
 
 def _detours(trajectory: Trajectory, local: set[str], longest: float) -> dict[str, str]:
@@ -168,23 +133,25 @@ def _detours(trajectory: Trajectory, local: set[str], longest: float) -> dict[st
     return {v: f"not worth its seconds: the way there takes {seconds:.1f} s" for v in viewpoints}
 
 
-def with_left_out(leg: Leg, earlier: Sequence[Leg], out: Mapping[str, str]) -> Leg:
-    """`leg`, made of viewpoints of earlier legs, with those that it leaves behind and why.
+def with_left_out(segment: Segment, earlier: Sequence[Segment], out: Mapping[str, str]) -> Segment:
+    """`segment`, made of viewpoints of earlier ones, with those that it leaves out and why.
 
     Args:
-        leg: the new one.
-        earlier: the legs that it stands for.
+        segment: the new one.
+        earlier: the segments that it stands for.
         out: reasons of viewpoints that the earlier ones served, by id.
     """
-    mine = {r.viewpoint.id: r for r in leg.reaches}
-    reasons = dict(pair for one in earlier for pair in one.unreachable) | dict(out) | dict(leg.unreachable)
+    mine = {r.viewpoint.id: r for r in segment.reaches}
+    reasons = dict(pair for one in earlier for pair in one.unreachable) | dict(out)
+    reasons |= dict(segment.unreachable)
     reaches = tuple(mine.get(r.viewpoint.id, r) for one in earlier for r in one.reaches)
     order = [r.viewpoint.id for r in reaches]
-    return replace(leg, reaches=reaches, unreachable=tuple((v, reasons[v]) for v in order if v in reasons))
+    left_out = tuple((v, reasons[v]) for v in order if v in reasons)
+    return replace(segment, reaches=reaches, unreachable=left_out)
 
 
 def costs(cell: Cell, tour: Tour, trajectory: Trajectory) -> list[float]:
-    """What each stop of a leg costs: itself, and the way there and on less the way past it [s]."""
+    """What each stop of a segment costs: itself, and the way there and on less the way past it [s]."""
     model, after = move_model(cell), [o for o in trajectory.operations if o.kind != "transit"]
     found = []
     for n in range(len(tour.stops)):
@@ -214,24 +181,3 @@ def _dear(cell: Cell, tour: Tour, trajectory: Trajectory, worth: Mapping[str, fl
 def renamed(viewpoints: Sequence[Viewpoint], prefix: str) -> tuple[Viewpoint, ...]:
     """The same viewpoints with `prefix` before their ids and sweeps, so that rounds do not collide."""
     return tuple(replace(v, id=prefix + v.id, sweep=prefix + v.sweep if v.sweep else "") for v in viewpoints)
-
-
-def _table_still(cell: Cell, clearance: Clearance, reaches: Sequence[Reach], angle: float) -> list[Reach]:
-    """Stations with the configurations that leave the table at `angle` [rad], if there are any."""
-    stations = [n for n, r in enumerate(reaches) if r.viewpoint.kind == "station" and len(r.q)]
-    views = [reaches[n].viewpoint for n in stations]
-    options = ReachOptions()
-    at = np.array([clean_angle(np.array(angle))])
-    found = candidates(cell, views, [at] * len(views), options.rolls, hopeless=clearance.tool_blocked)
-    free = clearance.first_free(found.q, found.starts, found.geometry, options.most)
-    still = list(reaches)
-    for i, n in enumerate(stations):
-        rows = np.arange(len(found.q))[found.of(i)]
-        rows = rows[free[rows]][: options.most]
-        if len(rows):
-            q = found.q[rows]
-            still[n] = replace(
-                still[n], q=q, clearance=np.maximum(clearance.margins(q), 0.0),
-                manipulability=found.sigma[rows], X_OS=scanner_in_object(cell, q),
-            )  # fmt: skip
-    return still

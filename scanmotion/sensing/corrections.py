@@ -1,4 +1,8 @@
-"""What a scan can mend by itself: calibration from the global step, then each later scan onto the cloud."""
+"""What a scan can correct by itself: calibration from the first scan, then each later scan onto the cloud.
+
+Guarantees: the scans that went before are never changed, and `Corrections` says of each later scan whether it
+was moved. Assumes that the errors are constant over the plan, and that a later scan overlaps the cloud.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -18,7 +22,7 @@ _POINTS = 200_000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Mending:
+class Corrections:
     """What was estimated, what it changed, and how far later scans could be trusted to fit."""
 
     calibration: Calibration | None = None
@@ -34,49 +38,46 @@ class Mending:
     after: Accuracy | None = None
     """The same as it is fused."""
     registrations: tuple[tuple[int, Registration], ...] = ()
-    """Of each later scan onto the cloud so far, with its index among the rounds."""
+    """Of each later scan onto the cloud so far, with its index among the segments."""
 
 
-class Mender:
-    """Corrects the scans of a trip one after the other."""
+def corrected_scan(
+    scan: Scan, cloud: Cloud | None, known: Corrections, *, part: Part, voxel: float, index: int
+) -> tuple[Scan, Corrections]:
+    """The scan as calibration and registration have it, and what is known from then on.
 
-    def __init__(self, part: Part, *, voxel: float) -> None:
-        self._part, self._voxel = part, voxel
-        self.mending = Mending()
+    Args:
+        scan: at its nominal poses.
+        cloud: fused from the scans before; None for the first, from which calibration is estimated.
+        known: from the scans before.
+        part: the true surface, from which distances are told.
+        voxel: edge of the fused clouds' voxels [m].
+        index: of the scan's segment.
+    """
+    if len(scan) == 0:
+        return scan, known
+    if cloud is None:
+        return _calibrated(scan, part, voxel)
+    if known.calibration is not None and known.applied:
+        scan = corrected(scan, known.calibration.errors)
+    try:
+        found = register(fuse([scan], voxel=voxel), cloud)
+    except InputError:
+        return scan, known
+    known = replace(known, registrations=(*known.registrations, (index, found)))
+    return (moved(scan, found.X) if found.trusted else scan), known
 
-    def mended(self, scan: Scan, cloud: Cloud | None, *, index: int) -> Scan:
-        """The scan as calibration and registration have it.
 
-        Args:
-            scan: at its nominal poses.
-            cloud: fused from the scans before; None for the first, from which calibration is estimated.
-            index: of the scan's round.
-        """
-        if len(scan) == 0:
-            return scan
-        if cloud is None:
-            return self._calibrated(scan)
-        if self.mending.calibration is not None and self.mending.applied:
-            scan = corrected(scan, self.mending.calibration.errors)
-        try:
-            found = register(fuse([scan], voxel=self._voxel), cloud)
-        except InputError:
-            return scan
-        pairs = (*self.mending.registrations, (index, found))
-        self.mending = replace(self.mending, registrations=pairs)
-        return moved(scan, found.X) if found.trusted else scan
-
-    def _calibrated(self, scan: Scan) -> Scan:
-        try:
-            found = calibrate([scan], points=_POINTS)
-        except InputError:
-            return scan
-        applied = bool(found.known.all())
-        better = corrected(scan, found.errors) if applied else scan
-        before = accuracy(fuse([scan], voxel=self._voxel).points, self._part)
-        after = accuracy(fuse([better], voxel=self._voxel).points, self._part) if applied else before
-        self.mending = Mending(calibration=found, applied=applied, before=before, after=after)
-        return better
+def _calibrated(scan: Scan, part: Part, voxel: float) -> tuple[Scan, Corrections]:
+    try:
+        found = calibrate([scan], points=_POINTS)
+    except InputError:
+        return scan, Corrections()
+    applied = bool(found.known.all())
+    better = corrected(scan, found.errors) if applied else scan
+    before = accuracy(fuse([scan], voxel=voxel).points, part)
+    after = accuracy(fuse([better], voxel=voxel).points, part) if applied else before
+    return better, Corrections(calibration=found, applied=applied, before=before, after=after)
 
 
 def moved(scan: Scan, X: np.ndarray) -> Scan:

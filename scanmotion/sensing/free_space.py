@@ -4,6 +4,7 @@ Whatever a scan has missed lies behind its frontier (Yamauchi 1997, doi 10.1109/
 behind a ledge, the mouth of a groove too narrow for a hole in the cloud, a flank met at too grazing an angle.
 """
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,6 +65,14 @@ class Space:
         """Remembers frames: poses (n, 4, 4) and depth images (n, h, w) [m], NaN where nothing was seen."""
         self._X_SO = np.concatenate([self._X_SO, np.linalg.inv(np.asarray(X_OS, float))])
         self._images.append(np.asarray(images, np.float32))
+
+    def with_frames(self, X_OS: np.ndarray, images: np.ndarray) -> "Space":
+        """The space with more frames, see `add`; this one stays as it is."""
+        more = copy(self)
+        # What is remembered of cells is replaced as a whole, never written into: it may be shared.
+        more._images = list(self._images)
+        more.add(X_OS, images)
+        return more
 
     def frontier(self, points: np.ndarray, *, near: np.ndarray | None = None, reach: float = 0.0) -> Frontier:
         """Where the frames left space open beside the surface that `points` (n, 3) show.

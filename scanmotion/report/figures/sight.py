@@ -44,7 +44,7 @@ def first_sight(plan: Any) -> tuple[np.ndarray, np.ndarray]:
         )
         first[rest[seen]] = k
         rest = rest[~seen]
-    glob = next((r.seen for r in reversed(plan.rounds) if r.step == "global"), np.zeros(len(first), bool))
+    glob = next((r.seen for r in reversed(plan.segments) if r.step == "global"), np.zeros(len(first), bool))
     last = max((k for k, step in enumerate(steps) if step == "global"), default=len(ends) - 1)
     first[rest] = np.where(glob[rest], last, len(ends) - 1)
     return np.array(ends), first

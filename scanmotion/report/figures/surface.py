@@ -20,7 +20,7 @@ def status_of_samples(plan: Any, *, after: str = "final") -> np.ndarray:
         after: "global" or "final": at which end.
     """
     n = len(plan.samples.points)
-    first = next((r.seen for r in reversed(plan.rounds) if r.step == "global"), np.zeros(n, bool))
+    first = next((r.seen for r in reversed(plan.segments) if r.step == "global"), np.zeros(n, bool))
     status = np.where(plan.visible, MISSED, HIDDEN)
     if after == "final" and plan.seen is not None:
         status[plan.seen] = SEEN_LOCAL

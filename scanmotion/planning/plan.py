@@ -1,13 +1,11 @@
-"""Plan: everything that a trip found, its summary, and its folder on disk."""
+"""Plan: all that planning found, its summary, and its folder on disk."""
 
 import functools
 import io
 import json
 import tempfile
-import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,44 +27,16 @@ from scanmotion.plan_io.measured import (
 )
 from scanmotion.plan_io.schema import PlanRecord, atomic_folder, csv_text, json_text, trajectory_json
 from scanmotion.planning.budget import budget_record, coverage_of
-from scanmotion.planning.segment import Leg
+from scanmotion.planning.helices import MOST_LOST, Joining
+from scanmotion.planning.options import PlanOptions
+from scanmotion.planning.segment import Segment
 from scanmotion.sensing.assess import Accuracy, accuracy
-from scanmotion.sensing.corrections import Mending
+from scanmotion.sensing.corrections import Corrections
 from scanmotion.sensing.fusion.fuse import Cloud
 from scanmotion.sensing.fusion.surface import surface
 from scanmotion.sensing.holes.find import HoleReport
 from scanmotion.sensing.simulator.simulate import Scan
-
-
-class Stopwatch:
-    """Seconds spent by stage; kept apart from the plan, which must not depend on them."""
-
-    def __init__(self) -> None:
-        self._start = time.perf_counter()
-        self._spent: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self._spent[stage] = self._spent.get(stage, 0.0) + time.perf_counter() - start
-
-    def seconds(self) -> dict[str, float]:
-        """Total and by stage [s]."""
-        return {"total": time.perf_counter() - self._start} | self._spent
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Round:
-    """One leg of the trip and what had been seen when it was done."""
-
-    step: str
-    """"global" or "local"."""
-    leg: Leg
-    seen: np.ndarray
-    """Which surface samples had been seen by then, shape (n,) bool; empty where no twin scans."""
+from scanmotion.views.unscanned import Patch
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -75,9 +45,8 @@ class Plan:
 
     part: Part
     cell: Cell
-    options: Any
-    """PlanOptions of the pipeline."""
-    rounds: tuple[Round, ...]
+    options: PlanOptions
+    segments: tuple[Segment, ...]
     trajectory: Trajectory | None
     """None where nothing could be planned."""
     cloud: Cloud | None
@@ -87,43 +56,43 @@ class Plan:
     samples: SurfaceSamples | None
     visible: np.ndarray | None
     """Which samples any allowed scanner pose can see, shape (n,)."""
-    searched: tuple[Round, ...] = ()
-    """The rounds as they were sought, where the twin's verdict has made others of them since."""
+    searched: tuple[Segment, ...] = ()
+    """The segments as they were found, where pruning has made others of them since."""
     out_of_reach: np.ndarray | None = None
     """Which of those stay unscanned because no pose that sees them was found that the robot reaches, (n,)."""
     dropped: tuple[tuple[str, str], ...] = ()
     """Viewpoints of the method that were not planned: (id, reason)."""
-    unscanned: tuple = ()
+    unscanned: tuple[Patch, ...] = ()
     """Patches of surface that stay unscanned, each with its reason."""
     planning_s: dict[str, float] = field(default_factory=dict)
     scans: tuple[Scan, ...] = ()
     """What the twin measured, as it was fused; only where PlanOptions.keep_scans asks for it."""
-    mending: Mending | None = None
+    corrections: Corrections | None = None
     """Calibration and registration, where there were any."""
-    helix: dict[str, Any] | None = None
+    joining: Joining | None = None
     """What came of joining turns, where that was allowed."""
 
     @property
     def viewpoints(self) -> tuple[Viewpoint, ...]:
         """Every viewpoint that was asked for, served or not, in order."""
-        return tuple(r.viewpoint for item in self.rounds for r in item.leg.reaches)
+        return tuple(r.viewpoint for item in self.segments for r in item.reaches)
 
     @property
     def unreachable(self) -> tuple[tuple[str, str], ...]:
         """(id, reason) of viewpoints that no operation serves."""
-        return self.dropped + tuple(pair for item in self.rounds for pair in item.leg.unreachable)
+        return self.dropped + tuple(pair for item in self.segments for pair in item.unreachable)
 
     @property
     def seen(self) -> np.ndarray | None:
         """Which samples the whole plan sees, shape (n,)."""
-        return self.rounds[-1].seen if self.samples is not None and self.rounds else None
+        return self.segments[-1].seen if self.samples is not None and self.segments else None
 
     def completeness(self) -> dict[str, float | None]:
         """Shares after the global step and at the end, of what can be seen; and of the whole surface."""
         if self.visible is None or self.seen is None:
             return {"after_global": None, "final": None, "final_of_whole": None}
         can = max(int(self.visible.sum()), 1)
-        first = next((r.seen for r in reversed(self.rounds) if r.step == "global"), np.zeros(1, bool))
+        first = next((r.seen for r in reversed(self.segments) if r.step == "global"), np.zeros(1, bool))
         return {
             "after_global": float(first.sum()) / can,
             "final": float(self.seen.sum()) / can,
@@ -172,12 +141,12 @@ class Plan:
             key = {"revolution": "table", "helix": "table", "sweep": "sweep", "dwell": "dwell"}.get(o.kind)
             split[key or ("arm" if arm_moves else "table")] += o.t_end - o.t_start
         total = self.trajectory.duration if self.trajectory is not None else 0.0
-        floor = sum(r.leg.tour.floor for r in self.rounds)
+        floor = sum(r.tour.floor for r in self.segments)
         return {k: float(v) for k, v in {"total": total, **split, "floor": floor}.items()}
 
     def budget(self) -> dict[str, Any]:
         """The budget, what uses it up, and what a shorter programme would see."""
-        stops = [stop for item in self.rounds for stop in item.leg.tour.stops]
+        stops = [stop for item in self.segments for stop in item.tour.stops]
         whole, coverage = self.completeness()["final"], None
         if self.trajectory is not None and self.samples is not None and whole is not None:
             assert self.seen is not None
@@ -197,7 +166,7 @@ class Plan:
     def summary(self) -> dict[str, Any]:
         """summary.json: what the plan achieves; docs/results.md says what each figure means."""
         time_s = self.time_s()
-        served = [v for item in self.rounds for v in item.leg.served]
+        served = [v for item in self.segments for v in item.served]
         told = {
             "viewpoints": {
                 "global": sum(v.step == "global" for v in served),
@@ -206,7 +175,7 @@ class Plan:
             },
             "completeness": _rounded(self.completeness()),
             "within_reach": _rounded(self.within_reach()),
-            "rounds": [self._told(item) for item in self.rounds],
+            "rounds": [self._told(item) for item in self.segments],
             "searched": [self._told(item) for item in self.searched],
             "unscanned": [
                 {
@@ -217,21 +186,21 @@ class Plan:
                 for p in self.unscanned
             ],
             "accuracy": self.accuracies(),
-            "calibration": calibration_record(self.mending),
-            "registration": registration_records(self.mending),
+            "calibration": calibration_record(self.corrections),
+            "registration": registration_records(self.corrections),
             "time_s": {k: round(v, 3) for k, v in time_s.items()},
             "budget": self.budget(),
-            **({} if self.helix is None else {"helix": self.helix}),
+            **({} if self.joining is None else {"helix": joining_record(self.joining)}),
             "findings": [str(f) for f in self.findings],
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
         }
         # What is told in memory is what stands on disk: plain numbers, no numpy scalars.
         return json.loads(json_text(told))
 
-    def _told(self, item: Round) -> dict[str, Any]:
+    def _told(self, item: Segment) -> dict[str, Any]:
         return {
             "step": item.step,
-            "viewpoints": len(item.leg.served),
+            "viewpoints": len(item.served),
             "completeness": self._share(item.seen),
         }
 
@@ -263,6 +232,14 @@ class Plan:
             files |= scan_files(self.cloud, self.surface, self.part, self.scans)
         atomic_folder(folder, {**files, **(extras or {})})
         return list(self.findings)
+
+
+def joining_record(joining: Joining) -> dict[str, Any]:
+    """`helix` of summary.json."""
+    return {
+        "taken": joining.taken, "still_seconds": joining.still_seconds, "most_lost": MOST_LOST,
+        "tried": [asdict(form) for form in joining.tried], "note": joining.note,
+    }  # fmt: skip
 
 
 def _rounded(shares: dict[str, float | None]) -> dict[str, float | None]:
@@ -313,7 +290,9 @@ def _arrays(plan: Plan) -> bytes:
             "samples": plan.samples.points.astype(np.float32),
             "sample_normals": plan.samples.normals.astype(np.float32),
             "visible": plan.visible,
-            "seen": np.stack([item.seen for item in plan.rounds]) if plan.rounds else np.zeros((0, 0), bool),
+            "seen": np.stack([item.seen for item in plan.segments])
+            if plan.segments
+            else np.zeros((0, 0), bool),
         }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
@@ -370,7 +349,7 @@ def plan_record(plan: Plan) -> PlanRecord:
             ],
             "urdf_file": "robot.urdf", "part_file": "part.ply", "cell_file": "cell.json",
             "viewpoints": [_view_record(v) for v in plan.viewpoints],
-            "unreachable": [pair for item in plan.rounds for pair in item.leg.unreachable],
+            "unreachable": [pair for item in plan.segments for pair in item.unreachable],
             "operations": [
                 {
                     "index": o.index, "kind": o.kind, "viewpoints": o.viewpoints,
