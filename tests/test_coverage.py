@@ -14,6 +14,7 @@ from scanmotion.core.scanner import Scanner
 from scanmotion.core.viewpoint import look_at
 from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.sensing import visibility as coverage
+from scanmotion.sensing.greedy_cover import greedy_cover
 from scanmotion.sensing.visibility import (
     GUESSED,
     free_lines,
@@ -27,7 +28,6 @@ from scanmotion.sensing.visibility import (
     turns_see,
     visible,
 )
-from scanmotion.views.cover import greedy_cover
 
 SCANNER = Scanner()
 FAR = (np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))

@@ -5,13 +5,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from scanmotion.cell.collision.shapes import fcl_object
 from scanmotion.cell.kinematics import branches
 from scanmotion.cell.model import TABLE as TABLE
 from scanmotion.cell.model import TOOL as TOOL
 from scanmotion.cell.model import WORLD as WORLD
 from scanmotion.cell.model import Cell as Cell
-from scanmotion.cell.robot import Body, Robot, robot_from_urdf
+from scanmotion.cell.robot import Body, Robot
+from scanmotion.cell.robot_file import robot_from_file
 from scanmotion.cell.settings import CellSettings, pose
 from scanmotion.core.errors import CellError
 from scanmotion.core.part import Part
@@ -42,6 +45,24 @@ def robot_facts() -> dict[str, dict[str, Any]]:
     return yaml.safe_load((models_dir() / "robots" / "robots.yaml").read_text(encoding="utf-8"))
 
 
+def robot_of(settings: CellSettings) -> Robot:
+    """The arm that the settings name.
+
+    Raises:
+        CellError: it cannot be read.
+    """
+    robot = settings.robot
+    speed = robot.velocity_deg_s
+    return robot_from_file(
+        robot_path(settings),
+        robot.joints,
+        robot.flange,
+        packages=tuple((Path(settings.folder) / folder).resolve() for folder in robot.packages),
+        turns=robot.endless_deg / 360,
+        speed=None if speed is None else tuple(float(v) for v in np.deg2rad(speed)),
+    )
+
+
 def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
     """Puts the cell together.
 
@@ -52,14 +73,15 @@ def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
     Raises:
         CellError: the robot's model cannot be read, or home is outside the limits.
     """
-    robot = robot_from_urdf(robot_path(settings), settings.robot.joints, settings.robot.flange)
+    robot = robot_of(settings)
     table = settings.turntable
     X_WB = pose(settings.base.position_m, np.deg2rad(settings.base.yaw_deg))
-    X_WT = pose((*table.position_m, table.height_m))
+    known = settings.calibration
+    X_WT = _shifted(pose((*table.position_m, table.height_m)), (*known.axis_mm, 0.0), (*known.axis_deg, 0.0))
     limits = _limits(settings, robot)
     frame: dict[str, Any] = dict(
         settings=settings, part=part, robot=robot, X_WB=X_WB, X_FS=tool_pose(settings), X_WT=X_WT,
-        X_TO=pose((0.0, 0.0, settings.pedestal.height_m)), joint_names=(*settings.robot.joints, "E1"),
+        X_TO=pose((0.0, 0.0, settings.pedestal.height_m)), joint_names=(*robot.joints, "E1"),
         bodies=(*robot.bodies, *_tool_bodies(settings), *_still_bodies(settings)), **limits,
     )  # fmt: skip
     home = _home(Cell(**frame, home=np.zeros(7)))
@@ -111,9 +133,7 @@ def _check_base(cell: Cell, turning: list[tuple[str, float, float, float]]) -> N
         for body in cell.bodies:
             if body.link != 0:
                 continue
-            X = cell.X_WB @ body.X_LG
-            shape = fcl.Box(*body.size) if body.shape == "box" else fcl.Cylinder(*body.size[:2])
-            solid = fcl.CollisionObject(shape, fcl.Transform(X[:3, :3].copy(), X[:3, 3].copy()))
+            solid = fcl_object(body, cell.X_WB @ body.X_LG)
             if fcl.collide(solid, turns, fcl.CollisionRequest(), fcl.CollisionResult()):
                 raise CellError(
                     f"the robot's base ({body.name}) stands in {what}: move the one or the other",
@@ -134,7 +154,19 @@ def tool_pose(settings: CellSettings) -> np.ndarray:
     roll = np.array([[np.cos(r), -np.sin(r), 0], [np.sin(r), np.cos(r), 0], [0, 0, 1]])
     X_FS[:3, :3] = tilt @ roll
     X_FS[:3, 3] = (tool.offset_m, 0.0, tool.arm_m)
-    return X_FS
+    return _shifted(X_FS, settings.calibration.hand_eye_mm, settings.calibration.hand_eye_deg)
+
+
+def _shifted(X: np.ndarray, by_mm: tuple[float, ...], turn_deg: tuple[float, ...]) -> np.ndarray:
+    """The pose moved along and turned about its own axes by what calibration found; untouched where it is
+    nothing.
+    """
+    if not any((*by_mm, *turn_deg)):
+        return X
+    D = np.eye(4)
+    D[:3, :3] = Rotation.from_rotvec(np.deg2rad(turn_deg)).as_matrix()
+    D[:3, 3] = np.array(by_mm) * 1e-3
+    return X @ D
 
 
 def _limits(settings: CellSettings, robot: Robot) -> dict[str, np.ndarray]:

@@ -26,11 +26,13 @@ class LinkSolid:
     side: bool
     """Whether no joint of the chain starts or ends at its carrier."""
     kind: str
-    """box, cylinder or sphere."""
+    """box, cylinder, sphere or mesh."""
     size: tuple[float, ...]
-    """As in the URDF [m]."""
+    """As in the URDF [m]; the scale of a mesh."""
     X_BG: np.ndarray
     """Pose in the base at zero, shape (4, 4)."""
+    file: str = ""
+    """The mesh's file in the plan's folder."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,18 +102,36 @@ def _arm(root: Any, chain: list[Any], base: str) -> UrdfArm:
                 raise ValueError("a joint without an axis")
             w = w / np.linalg.norm(w)
             screws.append(np.concatenate([w, -np.cross(w, X[:3, 3])]))
-            limit = joint.find("limit")
-            limits.append([float(limit.get(k)) for k in ("lower", "upper", "velocity")])
+            limits.append(_limits(joint))
             own |= {joint.find(role).get("link") for role in ("parent", "child")}
         links[joint.find("child").get("link")] = (len(screws), X)
     pending = [j for j in root.findall("joint") if j.find("child").get("link") not in links]
     solids = _solids(root, _with_branches(links, pending), own)
     low, high, speed = np.array(limits).T
-    if not np.isfinite(limits).all() or (low > high).any() or (speed <= 0).any():
+    if np.isnan(limits).any() or (low > high).any() or (speed <= 0).any():
         raise ValueError("limits of the joints")
     return UrdfArm(
         screws=np.array(screws), X_BF=X, lower=low, upper=high, velocity=speed, solids=tuple(solids)
     )
+
+
+def _limits(joint: Any) -> list[float]:
+    """Lower, upper [rad] and greatest speed [rad/s]; what turns for ever, or says no speed, is not bounded.
+
+    Raises:
+        ValueError: a joint that does not turn, or mimics another; values that are not finite.
+    """
+    if joint.get("type") not in ("revolute", "continuous") or joint.find("mimic") is not None:
+        raise ValueError(f"joint {joint.get('name')} is not one that turns by itself")
+    limit = joint.find("limit")
+    values = [float(limit.get(k, "0")) for k in ("lower", "upper", "velocity")]
+    if not np.isfinite(values).all():
+        raise ValueError("limits of the joints")
+    if joint.get("type") == "continuous":
+        values[:2] = [-np.inf, np.inf]
+    if values[2] == 0.0:
+        values[2] = np.inf
+    return values
 
 
 def _with_branches(links: dict[str, tuple[int, np.ndarray]], joints: list[Any]) -> dict:
@@ -148,12 +168,15 @@ def _solids(root: Any, links: dict[str, tuple[int, np.ndarray]], own: set[str]) 
                 size = (float(shape.get("radius")), float(shape.get("length")))
             elif shape.tag == "sphere":
                 size = (float(shape.get("radius")),)
+            elif shape.tag == "mesh":
+                size = tuple(_numbers(shape.get("scale", "1 1 1"), 3))
             else:
                 raise ValueError(f"collision geometry {shape.tag!r}")
             solids.append(
                 LinkSolid(
                     name=collision.get("name") or f"{carrier}_{n}", carrier=carrier, group=index,
                     side=carrier not in own, kind=shape.tag, size=size, X_BG=X_BL @ _origin(collision),
+                    file=shape.get("filename", ""),
                 )
             )  # fmt: skip
     return solids

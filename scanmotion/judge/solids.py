@@ -9,6 +9,7 @@ import fcl
 import numpy as np
 
 from scanmotion.core.errors import PartError, PlanFileError
+from scanmotion.geometry.collada import triangles_of_collada
 from scanmotion.geometry.part_files import read_geometry
 from scanmotion.judge.motion import Motion, UrdfArm, motion_at
 from scanmotion.plan_io.schema import PlanRecord, inside
@@ -65,10 +66,15 @@ def solids_of(folder: Path, record: PlanRecord, arm: UrdfArm) -> list[Solid]:
     """
     out = []
     for solid in arm.solids:
-        shape, half = _primitive(solid.kind, solid.size)
+        X_CG = solid.X_BG
+        if solid.kind == "mesh":
+            shape, half, middle = _mesh(folder, solid.file, np.array(solid.size))
+            X_CG = X_CG @ _shifted(middle)
+        else:
+            shape, half = _primitive(solid.kind, solid.size)
         out.append(
             Solid(
-                name=solid.name, group=solid.group, shape=shape, half=half, X_CG=solid.X_BG,
+                name=solid.name, group=solid.group, shape=shape, half=half, X_CG=X_CG,
                 carrier=solid.carrier, side=solid.side,
             )
         )  # fmt: skip
@@ -95,21 +101,36 @@ def _primitive(kind: str, size: tuple[float, ...]) -> tuple[Any, np.ndarray]:
 
 
 def _part(folder: Path, record: PlanRecord) -> Solid:
+    shape, half, middle = _mesh(folder, record.part_file, np.ones(3))
+    return Solid(name="part", group=PART, shape=shape, half=half, X_CG=_shifted(middle))
+
+
+def _shifted(p: np.ndarray) -> np.ndarray:
+    X = np.eye(4)
+    X[:3, 3] = p
+    return X
+
+
+def _mesh(folder: Path, name: str, scale: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray]:
+    """FCL's object of true triangles about the middle of their box, half its sides, and the middle."""
     try:
-        raw = read_geometry(inside(folder, record.part_file))
+        path = inside(folder, name)
+        if path.suffix.lower() == ".dae":
+            raw = triangles_of_collada(path.read_bytes(), name)
+        else:
+            raw = read_geometry(path)
     except PartError as error:
         raise PlanFileError(str(error)) from None
-    if len(raw.triangles) == 0 or not (np.abs(raw.vertices) < _FARTHEST_M).all():
-        raise PlanFileError(f"{record.part_file}: has no triangles, or corners {_FARTHEST_M:g} m away")
-    low, high = raw.vertices.min(axis=0), raw.vertices.max(axis=0)
+    vertices = raw.vertices * scale
+    if len(raw.triangles) == 0 or not (np.abs(vertices) < _FARTHEST_M).all():
+        raise PlanFileError(f"{name}: has no triangles, or corners {_FARTHEST_M:g} m away")
+    used = vertices[np.unique(raw.triangles)]
+    low, high = used.min(axis=0), used.max(axis=0)
     model = fcl.BVHModel()
-    model.beginModel(len(raw.vertices), len(raw.triangles))
-    model.addSubModel(raw.vertices - (low + high) / 2, raw.triangles)
+    model.beginModel(len(vertices), len(raw.triangles))
+    model.addSubModel(vertices - (low + high) / 2, raw.triangles)
     model.endModel()
-    X_OG = np.eye(4)
-    X_OG[:3, 3] = (low + high) / 2
-    shape = fcl.CollisionObject(model, fcl.Transform())
-    return Solid(name="part", group=PART, shape=shape, half=(high - low) / 2, X_CG=X_OG)
+    return fcl.CollisionObject(model, fcl.Transform()), (high - low) / 2, (low + high) / 2
 
 
 def pairs_of(
@@ -168,7 +189,8 @@ def meeting_carriers(solids: list[Solid], record: PlanRecord, arm: UrdfArm) -> f
             continue
         each = _POSITIONS[count]
         q = np.zeros((each**count, 7))
-        ranges = [np.linspace(arm.lower[k], arm.upper[k], each) for k in range(first[0], second[0])]
+        low, high = (np.clip(v, -2 * np.pi, 2 * np.pi) for v in (arm.lower, arm.upper))
+        ranges = [np.linspace(low[k], high[k], each) for k in range(first[0], second[0])]
         q[:, first[0] : second[0]] = np.stack(np.meshgrid(*ranges), axis=-1).reshape(-1, count)
         motion = motion_at(arm, record, np.arange(len(q), dtype=float), q)
         of = [[s for s in links if s.carrier == c[1]] for c in (first, second)]

@@ -133,10 +133,17 @@ def in_view(scanner: Scanner, X_OS: np.ndarray, points: np.ndarray, normals: np.
         X_OS,
         np.ascontiguousarray(points, dtype=float),
         np.ascontiguousarray(normals, dtype=float),
-        np.array([np.tan(scanner.fov[0] / 2), np.tan(scanner.fov[1] / 2), *scanner.range]),
+        np.array(
+            [np.tan(scanner.fov[0] / 2), np.tan(scanner.fov[1] / 2), *scanner.range, _highlight(scanner)]
+        ),
         float(np.cos(scanner.max_incidence)),
         float(scanner.baseline),
     )
+
+
+def _highlight(scanner: Scanner) -> float:
+    """Least cosine of normal and half vector at which the reflection blinds; above 1 where it never does."""
+    return float(np.cos(scanner.mirror)) if scanner.mirror > 0 else 2.0
 
 
 @njit(cache=True, parallel=True)
@@ -169,10 +176,15 @@ def _in_view(X, points, normals, field, least, baseline, out):
         u, v, w = normals[j, 0], normals[j, 1], normals[j, 2]
         if -(u * x + v * y + w * z) < least * np.sqrt(x * x + y * y + z * z):
             continue
+        r, p, q, s = np.sqrt(x * x + y * y + z * z), x, y, z
         x -= baseline * X[0, 0]
         y -= baseline * X[1, 0]
         z -= baseline * X[2, 0]
         out[j] = -(u * x + v * y + w * z) >= least * np.sqrt(x * x + y * y + z * z)
+        if out[j] and field[4] <= 1.0:
+            t = np.sqrt(x * x + y * y + z * z)
+            p, q, s = p / r + x / t, q / r + y / t, s / r + z / t
+            out[j] = -(u * p + v * q + w * s) < field[4] * np.sqrt(p * p + q * q + s * s)
 
 
 def _unblocked(

@@ -34,7 +34,7 @@ _HOMES = {
     "turns_see": "sensing.visibility",
     "revolution_poses": "sensing.visibility",
     "visible": "sensing.visibility",
-    "greedy_cover": "views.cover",
+    "greedy_cover": "sensing.greedy_cover",
     "cad_slicing": "views.cad_slicing",
     "surface_partitioning": "views.surface_partitioning",
     "show": "report.viewpoint_scene:",
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from scanmotion.sensing.closed_surface import closed_model as closed_model
     from scanmotion.sensing.free_space import Frontier as Frontier
     from scanmotion.sensing.free_space import Space as Space
+    from scanmotion.sensing.greedy_cover import greedy_cover as greedy_cover
     from scanmotion.sensing.holes.boundary import boundary_points as boundary_points
     from scanmotion.sensing.holes.boundary import oriented_normals as oriented_normals
     from scanmotion.sensing.holes.find import Hole as Hole
@@ -66,7 +67,6 @@ if TYPE_CHECKING:
     from scanmotion.sensing.visibility import turns_see as turns_see
     from scanmotion.sensing.visibility import visible as visible
     from scanmotion.views.cad_slicing import cad_slicing as cad_slicing
-    from scanmotion.views.cover import greedy_cover as greedy_cover
     from scanmotion.views.hole_views import local_viewpoints as local_viewpoints
     from scanmotion.views.next_best_views import LocalStep as LocalStep
     from scanmotion.views.next_best_views import SelectOptions as SelectOptions

@@ -3,6 +3,7 @@
 import numpy as np
 from numba import njit
 
+from scanmotion.cell.collision.shapes import inside
 from scanmotion.cell.collision.sphere_filter import (
     _box,
     _box_frame,
@@ -31,17 +32,18 @@ def sure_points(cell: Cell, spheres: tuple) -> np.ndarray:
             if body.link != link or link > TOOL:
                 continue
             p = (points[rows, :3] - body.X_LG[:3, 3]) @ body.X_LG[:3, :3]
-            if body.shape == "box":
-                sure[rows] |= (np.abs(p) <= np.array(body.size) / 2).all(axis=1)
-            else:
-                radius, length = body.size[:2]
-                sure[rows] |= (np.hypot(p[:, 0], p[:, 1]) <= radius) & (np.abs(p[:, 2]) <= length / 2)
+            sure[rows] |= inside(body, p)
     return sure
 
 
 def lattice(body: Body) -> np.ndarray:
-    """Corners, middles of the sides and the middle of a box, or a cylinder's axis, in its link (n, 3) [m]."""
-    if body.shape == "box":
+    """Points of a solid in its link, shape (n, 3) [m].
+
+    Corners, middles of the sides and the middle of a box; a cylinder's axis; a hull's corners.
+    """
+    if body.points is not None:
+        points = body.points
+    elif body.shape == "box":
         signs = np.array(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij")).reshape(3, -1).T
         points = signs[np.abs(signs).sum(axis=1) != 2] * np.array(body.size) / 2
     else:

@@ -9,6 +9,7 @@ from itertools import product
 import fcl
 import numpy as np
 
+from scanmotion.cell.collision.shapes import fcl_object
 from scanmotion.cell.model import TOOL, Cell
 from scanmotion.cell.robot import Body, Robot, arm_poses
 
@@ -74,16 +75,10 @@ def _always_meet(robot: Robot, low: list[Body], high: list[Body]) -> bool:
 
 
 def _meet(low: list[Body], high: list[Body], X: np.ndarray) -> bool:
-    first, second = [_placed(b, np.eye(4)) for b in low], [_placed(b, X) for b in high]
+    first, second = [fcl_object(b, b.X_LG) for b in low], [fcl_object(b, X @ b.X_LG) for b in high]
     return any(
         fcl.collide(a, b, fcl.CollisionRequest(), fcl.CollisionResult()) for a in first for b in second
     )
-
-
-def _placed(body: Body, X: np.ndarray) -> fcl.CollisionObject:
-    shape = fcl.Box(*body.size) if body.shape == "box" else fcl.Cylinder(*body.size[:2])
-    X = X @ body.X_LG
-    return fcl.CollisionObject(shape, fcl.Transform(np.ascontiguousarray(X[:3, :3]), X[:3, 3].copy()))
 
 
 def ignored_carriers(cell: Cell) -> list[tuple[str, str]]:

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from scanmotion.cell.collision.pairs import ignored, on_floor
+from scanmotion.cell.collision.shapes import beyond, box_of
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 from scanmotion.cell.robot import Body
 from scanmotion.core.part import Part
@@ -39,13 +40,6 @@ class Filter:
     """Greatest distance of any moving point from each joint's axis, for bounds on motion, shape (7,) [m]."""
 
 
-def box_of(body: Body) -> np.ndarray:
-    """Half sides of the box that holds a body, shape (3,) [m]."""
-    if body.shape == "box":
-        return np.array(body.size) / 2
-    return np.array([body.size[0], body.size[0], body.size[1] / 2])
-
-
 def _sphere_cover(body: Body, scale: float = 1.0) -> np.ndarray:
     """Spheres (x, y, z, r) in the link's frame that cover the body, shape (k, 4)."""
     half = box_of(body)
@@ -54,6 +48,9 @@ def _sphere_cover(body: Body, scale: float = 1.0) -> np.ndarray:
     axes = [(-half[i] + (2 * np.arange(n[i]) + 1) * half[i] / n[i]) for i in range(3)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     inside = np.all(np.abs(centres) < half - 1.01 * 2 * half / n, axis=1)
+    if body.shape == "hull":
+        # Cells that the hull does not reach need no sphere, and all that it reaches have one.
+        inside = beyond(body, centres) > radius
     centres = centres[~inside] @ body.X_LG[:3, :3].T + body.X_LG[:3, 3]
     return np.column_stack([centres, np.full(len(centres), radius)])
 

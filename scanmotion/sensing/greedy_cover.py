@@ -1,4 +1,4 @@
-"""Greedy set cover: rows that together see the columns at little cost."""
+"""Few views that see most: the greedy cover of a matrix of what each sees, at a cost each."""
 
 import numpy as np
 
