@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from defusedxml.ElementTree import fromstring
 from pydrake.common import Parallelism
+from pydrake.geometry import Convex, ProximityProperties
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import MultibodyPlant
@@ -141,6 +142,22 @@ def add_cell(plant: MultibodyPlant, cell: Cell) -> dict[str, Any]:
     return {info.model_name: info.model_instance for info in added}
 
 
+def add_hull(plant: MultibodyPlant, cell: Cell) -> None:
+    """Welds the convex hull of the part's vertices to the table; nothing where there is no part."""
+    from scipy.spatial import ConvexHull
+
+    if cell.part is None:
+        return
+    points = cell.part.vertices
+    corners = points[ConvexHull(points).vertices]
+    # The stubs of pydrake know no arrays.
+    X: Any = cell.X_TO
+    convex: Any = Convex
+    table = plant.GetBodyByName("turntable", plant.GetModelInstanceByName("turntable"))
+    shape = convex(corners.T, "part")
+    plant.RegisterCollisionGeometry(table, RigidTransform(X), shape, "part", ProximityProperties())
+
+
 def ignored_pairs(plant: MultibodyPlant, cell: Cell) -> list[tuple[Any, Any]]:
     """Bodies of the plant that are not held against one another: see `collision.pairs`."""
     arm, tool, floor = (plant.GetModelInstanceByName(name) for name in ("arm", "tool", "floor"))
@@ -154,13 +171,18 @@ def ignored_pairs(plant: MultibodyPlant, cell: Cell) -> list[tuple[Any, Any]]:
 class DrakeCell:
     """Plant and collision checker of a cell; the part's true triangles are judged elsewhere.
 
-    Drake takes a mesh as its convex hull in every proximity query, so the part is not among the solids here.
-    One instance belongs to one thread.
+    Drake takes a mesh as its convex hull in every proximity query. One instance belongs to one thread.
+
+    Args:
+        cell: the cell.
+        hull: whether the part's hull is among the solids.
     """
 
-    def __init__(self, cell: Cell) -> None:
+    def __init__(self, cell: Cell, *, hull: bool = False) -> None:
         builder = RobotDiagramBuilder(time_step=0.0)
         instances = add_cell(builder.plant(), cell)
+        if hull:
+            add_hull(builder.plant(), cell)
         builder.plant().Finalize()
         process = cell.settings.process
         options: dict[str, Any] = dict(
@@ -172,6 +194,10 @@ class DrakeCell:
         )
         self.checker = SceneGraphCollisionChecker(**options)
         self.plant = self.checker.plant()
+        self.inspector = self.checker.model().scene_graph().model_inspector()
+        self.context = self.checker.plant_context()
+        of = [self.plant.GetBodyIndices(instances[name]) for name in ("arm", "tool")]
+        self.robot_bodies = [*of[0], *of[1]]
         self._asked = (process.self_clearance_m, process.clearance_m)
         self._order = self._joint_order(cell)
         self.groups = self._groups(cell)

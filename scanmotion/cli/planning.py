@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from scanmotion.cli.app import CHECK_FAILED, OK, print_table, progress_bar, say_json
+from scanmotion.cli.complete import is_complete, say_answer, write_answer
 from scanmotion.cli.inputs import (  # fmt: skip
     CELL,
     OUT,
@@ -26,6 +27,7 @@ from scanmotion.cli.inputs import (  # fmt: skip
     check_mode,
     check_out_folder,
     part_and_source,
+    say_read,
 )
 from scanmotion.core.errors import InputError
 
@@ -42,7 +44,7 @@ def plan(
     part: PartFile = None,
     box: Box = None,
     scan: ScanFile = None,
-    units: Units = "mm",
+    units: Units = "",
     up: Up = "+z",
     place: Place = "",
     budget: Annotated[
@@ -152,7 +154,7 @@ def plan(
     check_known("--motion", motion, MOTIONS)
     check_out_folder(out)
     only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
-    settings = subject = source = None
+    settings = subject = source = answer = None
     twin = {"calibrate": calibrate, "surface": surface, "keep_scans": save_scans, "helix": helix}
     if keep is None:
         settings = with_budget(cell_from(robot, cell), budget)
@@ -165,7 +167,15 @@ def plan(
             told |= {"thorough": thorough, "tidy": tidy, "motion": motion, "completeness": completeness}
             told |= {"fill": budget is not None and completeness is None}
             made = planned(subject, settings, progress, **told, **twin)
-        made.save(out, extras=pages(made, progress) if html else {})
+        if is_complete(made):
+            answer = write_answer(made, out, html=html)
+        else:
+            made.save(out, extras=pages(made, progress) if html else {})
+    if subject is not None:
+        say_read(subject, quiet=quiet or json)
+    if answer is not None:
+        say_answer(answer, out, html=html, quiet=quiet, json=json)
+        return OK
     summary = read_summary(out)
     if json:
         say_json(summary)

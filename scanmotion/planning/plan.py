@@ -13,11 +13,13 @@ import numpy as np
 
 from scanmotion import __version__
 from scanmotion.cell.build import Cell
+from scanmotion.cell.collision.last_word import LastWord
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.judge import Finding, verify
+from scanmotion.plan_io.frames import frame_files
 from scanmotion.plan_io.measured import (
     calibration_record,
     millimetres,
@@ -76,6 +78,8 @@ class Plan:
     """What came of joining turns, where that was allowed."""
     motion: Mapping[str, Any] | None = None
     """The continuous motion, as the summary tells it; None for stops."""
+    last_word: LastWord | None = None
+    """What Drake says of the whole motion; None where nothing moves."""
 
     @property
     def viewpoints(self) -> tuple[Viewpoint, ...]:
@@ -163,9 +167,10 @@ class Plan:
 
     @functools.cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """What the judge finds in the plan's files, which are written for it to a place of their own."""
+        """What Drake finds in the motion, and the judge in the files, which are written for him elsewhere."""
+        told = self.last_word.findings if self.last_word is not None else ()
         with tempfile.TemporaryDirectory() as work:
-            return tuple(verify(atomic_folder(Path(work) / "plan", plan_files(self))))
+            return (*told, *verify(atomic_folder(Path(work) / "plan", plan_files(self))))
 
     @functools.cached_property
     def summary(self) -> dict[str, Any]:
@@ -198,6 +203,7 @@ class Plan:
             **({} if self.joining is None else {"helix": joining_record(self.joining)}),
             **({} if self.motion is None else {"motion": dict(self.motion)}),
             "findings": [str(f) for f in self.findings],
+            **({} if self.last_word is None else {"drake": drake_record(self.last_word)}),
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
         }
         # What is told in memory is what stands on disk: plain numbers, no numpy scalars.
@@ -240,6 +246,16 @@ class Plan:
         return list(self.findings)
 
 
+def drake_record(word: LastWord) -> dict[str, Any]:
+    """`drake` of summary.json: how much of the motion was checked, and how."""
+    return {
+        "checked": word.checked,
+        "way_m": round(word.way_m, 3),
+        "by_triangles": word.by_triangles,
+        "findings": len(word.findings),
+    }
+
+
 def joining_record(joining: Joining) -> dict[str, Any]:
     """`helix` of summary.json."""
     return {
@@ -269,6 +285,7 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
         "cell.json": plan.cell.settings.model_dump_json(indent=1) + "\n",
         "holes.json": json_text({"units": "m", "holes": _hole_records(plan)}),
         "scan.npz": _arrays(plan),
+        **frame_files(plan.trajectory, plan.viewpoints, plan.cell),
     }
 
 
