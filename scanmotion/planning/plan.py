@@ -199,6 +199,7 @@ class Plan:
             "findings": [str(f) for f in self.findings],
             **({} if self.last_word is None else {"drake": drake_record(self.last_word)}),
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
+            **({} if self.part.report is None else {"read": self.part.report.record()}),
         }
         # What is told in memory is what stands on disk: plain numbers, no numpy scalars.
         return json.loads(json_text(told))
