@@ -29,6 +29,7 @@ from scanmotion.plan_io.measured import (
 )
 from scanmotion.plan_io.schema import PlanRecord, atomic_folder, csv_text, json_text, trajectory_json
 from scanmotion.planning.budget import budget_record, coverage_of
+from scanmotion.planning.confidence import Confidence
 from scanmotion.planning.helices import MOST_LOST, Joining
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.segment import Segment
@@ -58,6 +59,8 @@ class Plan:
     samples: SurfaceSamples | None
     visible: np.ndarray | None
     """Which samples any allowed scanner pose can see, shape (n,)."""
+    confidence: Confidence | None = None
+    """Intervals of predicted coverage and accuracy; None where the simulator knows no truth."""
     searched: tuple[Segment, ...] = ()
     """The segments as they were found, where pruning has made others of them since."""
     out_of_reach: np.ndarray | None = None
@@ -190,6 +193,7 @@ class Plan:
                 }
                 for p in self.unscanned
             ],
+            **({} if self.confidence is None else {"confidence": self.confidence.record()}),
             "accuracy": self.accuracies(),
             "calibration": calibration_record(self.corrections),
             "registration": registration_records(self.corrections),

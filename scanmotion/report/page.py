@@ -144,6 +144,10 @@ def _numbers(summary: dict[str, Any]) -> str:
         ("viewpoints", f"{summary['viewpoints']['global']} global, {summary['viewpoints']['local']} local"),
         ("left out", f"{left_out}"),
     ]
+    if summary.get("confidence"):
+        rows.insert(
+            1, ("how sure, under the uncertainty stated in the settings", summary["confidence"]["statement"])
+        )
     if "helix" in summary:
         rows.append(("turns of the global step", summary["helix"]["note"]))
     if done["final"] is None:
