@@ -248,8 +248,8 @@ def planted(tmp_path_factory):
     folder = tmp_path_factory.mktemp("planted")
     told = load_cell("kr240").model_dump(mode="json")
     told["twin"] |= {
-        "axis_mm": [0.5, -0.3],
-        "hand_eye_mm": [0.2, 0.0, 0.3],
+        "axis_mm": [0.6, -0.3],
+        "hand_eye_mm": [0.2, 0.0, -0.5],
         "latency_ms": 2.0,
         "backlash_deg": 0.02,
     }
@@ -273,8 +273,8 @@ def test_calibration_finds_what_was_planted_and_writes_a_cell_that_scans_better(
     record = json.loads(result.stdout)
     assert record["determined"] and record["applied"]
     after = accuracy(model_of(load_job(planted / "job")).cloud.points, part)
-    assert after.mean_abs < before.mean_abs / 3
-    truth = {"axis_mm": [0.5, -0.3], "hand_eye_mm": [0.2, 0.0, 0.3], "latency_ms": 2.0, "backlash_deg": 0.02}
+    assert after.mean_abs < before.mean_abs / 5
+    truth = {"axis_mm": [0.6, -0.3], "hand_eye_mm": [0.2, 0.0, -0.5], "latency_ms": 2.0, "backlash_deg": 0.02}
     for key, value in truth.items():
         off = np.abs(np.atleast_1d(record["estimated"][key]) - np.atleast_1d(value))
         assert (off < 4 * np.atleast_1d(record["sd"][key]) + 1e-6).all(), (key, record)
@@ -284,7 +284,7 @@ def test_calibration_finds_what_was_planted_and_writes_a_cell_that_scans_better(
     run("new", planted / "again", "--cell", out, "--box", *sides, "--json")
     run("add", planted / "again", "--simulate", planted / "lump.ply", "--stride", "4", "--json")
     better = accuracy(model_of(load_job(planted / "again")).cloud.points, part)
-    assert better.mean_abs < before.mean_abs / 3
+    assert better.mean_abs < before.mean_abs / 5
     assert known.calibration.latency_ms == pytest.approx(record["estimated"]["latency_ms"], abs=1e-6)
 
 
