@@ -15,6 +15,7 @@ from scanmotion.core.part import Part
 from scanmotion.motion.reach.find import reachable_mask
 from scanmotion.planning.confidence import Confidence, Prediction, Uncertainty, confidence
 from scanmotion.planning.context import Context, Simulator, context_from
+from scanmotion.planning.continuous import NO_MOTION, continuous_step
 from scanmotion.planning.local_rounds import local_rounds
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.plan import Plan
@@ -49,6 +50,11 @@ def plan(
     """
     ctx = context_from(part, settings, options or PlanOptions(), progress)
     state = begin(ctx)
+    if ctx.options.motion == "continuous":
+        moving = continuous_step(ctx, state)
+        if moving is not None:
+            return plan_from(ctx, moving)
+        state = replace(state, motion=NO_MOTION)
     if ctx.measured is None:
         state = global_step(ctx, state)
     if ctx.method.takes_local_step and state.cloud is not None:
@@ -151,6 +157,6 @@ def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, s
         visible=found.visible, out_of_reach=found.out_of_reach,
         dropped=(*state.dropped, *left_out), unscanned=found.unscanned,
         scans=state.scans if ctx.options.keep_scans else (),
-        corrections=state.corrections, joining=state.joining, last_word=word,
+        corrections=state.corrections, joining=state.joining, motion=state.motion, last_word=word,
         planning_s=ctx.watch.seconds(),
     )  # fmt: skip

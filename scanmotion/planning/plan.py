@@ -41,6 +41,9 @@ from scanmotion.sensing.holes.find import HoleReport
 from scanmotion.sensing.simulator.simulate import Scan
 from scanmotion.views.unscanned import Patch
 
+_WORK = {"revolution": "table", "helix": "table", "path": "table", "sweep": "sweep", "dwell": "dwell"}
+"""What each kind of scanning operation counts as in `time_s`."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Plan:
@@ -76,6 +79,8 @@ class Plan:
     """Calibration and registration, where there were any."""
     joining: Joining | None = None
     """What came of joining turns, where that was allowed."""
+    motion: Mapping[str, Any] | None = None
+    """The continuous motion, as the summary tells it; None for stops."""
     last_word: LastWord | None = None
     """What Drake says of the whole motion; None where nothing moves."""
 
@@ -145,7 +150,7 @@ class Plan:
         split = {"arm": 0.0, "table": 0.0, "sweep": 0.0, "dwell": 0.0}
         for o in self.trajectory.operations if self.trajectory is not None else ():
             arm_moves = np.abs(o.q_end[:6] - o.q_start[:6]).max() > 1e-9
-            key = {"revolution": "table", "helix": "table", "sweep": "sweep", "dwell": "dwell"}.get(o.kind)
+            key = _WORK.get(o.kind)
             split[key or ("arm" if arm_moves else "table")] += o.t_end - o.t_start
         total = self.trajectory.duration if self.trajectory is not None else 0.0
         floor = sum(r.tour.floor for r in self.segments)
@@ -200,6 +205,7 @@ class Plan:
             "time_s": {k: round(v, 3) for k, v in time_s.items()},
             "budget": self.budget(),
             **({} if self.joining is None else {"helix": joining_record(self.joining)}),
+            **({} if self.motion is None else {"motion": dict(self.motion)}),
             "findings": [str(f) for f in self.findings],
             **({} if self.last_word is None else {"drake": drake_record(self.last_word)}),
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},

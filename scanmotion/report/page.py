@@ -150,6 +150,8 @@ def _numbers(summary: dict[str, Any]) -> str:
         )
     if "helix" in summary:
         rows.append(("turns of the global step", summary["helix"]["note"]))
+    if "motion" in summary:
+        rows += _motion_rows(summary["motion"])
     if done["final"] is None:
         return table((), rows)
     if reach.get("scanned") is not None:
@@ -160,6 +162,13 @@ def _numbers(summary: dict[str, Any]) -> str:
         '<p class="note">Completeness and accuracy are predicted by simulating the scanner with the noise '
         "stated in the settings below; the object itself has not been measured.</p>"
     )
+
+
+def _motion_rows(motion: dict[str, Any]) -> list[tuple[str, str]]:
+    """What came of the continuous motion, and what other ones that were found take and see."""
+    curve = ", ".join(f"{p['completeness']:.2%} in {p['seconds']:.1f} s" for p in motion.get("curve", ()))
+    rows = [("motion", motion["note"])]
+    return rows + ([("completeness against seconds", curve)] if len(motion.get("curve", ())) > 1 else [])
 
 
 def _coverage(plan: Any) -> str:
