@@ -34,6 +34,7 @@ from scanmotion.core.errors import InputError
 AGAIN = "Planning again"
 TWIN = "The scan twin"
 FEW = 3
+MOTIONS = ("stops", "continuous")
 STRATEGIES = ("two-step", "cad-slicing", "surface-partitioning")
 
 
@@ -63,6 +64,21 @@ def plan(
             "twin sees as much and seconds are saved.",
         ),
     ] = False,
+    motion: Annotated[
+        str,
+        typer.Option(
+            "--motion",
+            help="stops: turns and stops, each from rest to rest. continuous: arm and table move at once, "
+            "the scanner always on, chosen on the part's mesh; with --budget, as much as can be seen in it.",
+        ),
+    ] = "stops",
+    completeness: Annotated[
+        float | None,
+        typer.Option(
+            "--completeness",
+            help="With --motion continuous: this share of what can be seen, 0..1, in the least seconds.",
+        ),
+    ] = None,
     keep: Annotated[
         Path | None,
         typer.Option(
@@ -135,6 +151,7 @@ def plan(
     """
     check_mode(mode)
     check_known("--strategy", strategy, STRATEGIES)
+    check_known("--motion", motion, MOTIONS)
     check_out_folder(out)
     only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
     settings = subject = source = answer = None
@@ -147,7 +164,8 @@ def plan(
             made = planned_again(keep, done, failed or (), budget, progress, **twin)
         else:
             told = {"source": source, "mode": mode, "strategy": strategy, "seed": seed}
-            told |= {"thorough": thorough, "tidy": tidy}
+            told |= {"thorough": thorough, "tidy": tidy, "motion": motion, "completeness": completeness}
+            told |= {"fill": budget is not None and completeness is None}
             made = planned(subject, settings, progress, **told, **twin)
         if is_complete(made):
             answer = write_answer(made, out, html=html)
@@ -295,6 +313,7 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
             f"{views['global']} global, {views['local']} local, {len(views['unreachable'])} left out",
         ),
         ("completeness, of what can be seen", share(done["final"])),
+        *sure_rows(summary),
         ("after the global step", share(done["after_global"])),
         *reach_rows(summary),
         ("of the whole surface", share(done["final_of_whole"])),
@@ -303,9 +322,16 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("time", f"{time['total']:.1f} s, {verdict} the budget of {limit:g} s (floor {time['floor']:.1f} s)"),
         ("of which [s]", split),
         *([("helix", summary["helix"]["note"])] if "helix" in summary else []),
+        *([("motion", summary["motion"]["note"])] if "motion" in summary else []),
         ("checks", counted(len(summary["findings"]))),
         ("planned in", f"{summary['planning_s']['total']:.1f} s"),
     ]  # fmt: skip
+
+
+def sure_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Line of the final table on how sure the prediction is, where that is known."""
+    found = summary.get("confidence")
+    return [] if found is None else [("how sure", found["statement"])]
 
 
 def reach_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:

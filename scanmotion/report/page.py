@@ -145,8 +145,14 @@ def _numbers(summary: dict[str, Any]) -> str:
         ("viewpoints", f"{summary['viewpoints']['global']} global, {summary['viewpoints']['local']} local"),
         ("left out", f"{left_out}"),
     ]
+    if summary.get("confidence"):
+        rows.insert(
+            1, ("how sure, under the uncertainty stated in the settings", summary["confidence"]["statement"])
+        )
     if "helix" in summary:
         rows.append(("turns of the global step", summary["helix"]["note"]))
+    if "motion" in summary:
+        rows += _motion_rows(summary["motion"])
     if done["final"] is None:
         return table((), rows)
     if reach.get("scanned") is not None:
@@ -157,6 +163,13 @@ def _numbers(summary: dict[str, Any]) -> str:
         '<p class="note">Completeness and accuracy are predicted by simulating the scanner with the noise '
         "stated in the settings below; the object itself has not been measured.</p>"
     )
+
+
+def _motion_rows(motion: dict[str, Any]) -> list[tuple[str, str]]:
+    """What came of the continuous motion, and what other ones that were found take and see."""
+    curve = ", ".join(f"{p['completeness']:.2%} in {p['seconds']:.1f} s" for p in motion.get("curve", ()))
+    rows = [("motion", motion["note"])]
+    return rows + ([("completeness against seconds", curve)] if len(motion.get("curve", ())) > 1 else [])
 
 
 def _coverage(plan: Any) -> str:
