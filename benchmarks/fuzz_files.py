@@ -63,7 +63,8 @@ def main() -> int:
                 return 1
             path.unlink()
     print(
-        f"{a.files} damaged files: {read} read, {refused} refused; slowest {slowest[0]:.2f} s of CPU ({slowest[1]}), "
+        f"{a.files} damaged files: {read} read, {refused} refused; "
+        f"slowest {slowest[0]:.2f} s of CPU ({slowest[1]}), "
         f"peak {peak / 1024:.0f} MiB over the start"
     )
     return 0
