@@ -313,6 +313,7 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
             f"{views['global']} global, {views['local']} local, {len(views['unreachable'])} left out",
         ),
         ("completeness, of what can be seen", share(done["final"])),
+        *sure_rows(summary),
         ("after the global step", share(done["after_global"])),
         *reach_rows(summary),
         ("of the whole surface", share(done["final_of_whole"])),
@@ -325,6 +326,12 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("checks", counted(len(summary["findings"]))),
         ("planned in", f"{summary['planning_s']['total']:.1f} s"),
     ]  # fmt: skip
+
+
+def sure_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Line of the final table on how sure the prediction is, where that is known."""
+    found = summary.get("confidence")
+    return [] if found is None else [("how sure", found["statement"])]
 
 
 def reach_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:

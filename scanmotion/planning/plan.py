@@ -29,6 +29,7 @@ from scanmotion.plan_io.measured import (
 )
 from scanmotion.plan_io.schema import PlanRecord, atomic_folder, csv_text, json_text, trajectory_json
 from scanmotion.planning.budget import budget_record, coverage_of
+from scanmotion.planning.confidence import Confidence
 from scanmotion.planning.helices import MOST_LOST, Joining
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.segment import Segment
@@ -61,6 +62,8 @@ class Plan:
     samples: SurfaceSamples | None
     visible: np.ndarray | None
     """Which samples any allowed scanner pose can see, shape (n,)."""
+    confidence: Confidence | None = None
+    """Intervals of predicted coverage and accuracy; None where the simulator knows no truth."""
     searched: tuple[Segment, ...] = ()
     """The segments as they were found, where pruning has made others of them since."""
     out_of_reach: np.ndarray | None = None
@@ -195,6 +198,7 @@ class Plan:
                 }
                 for p in self.unscanned
             ],
+            **({} if self.confidence is None else {"confidence": self.confidence.record()}),
             "accuracy": self.accuracies(),
             "calibration": calibration_record(self.corrections),
             "registration": registration_records(self.corrections),
@@ -205,6 +209,7 @@ class Plan:
             "findings": [str(f) for f in self.findings],
             **({} if self.last_word is None else {"drake": drake_record(self.last_word)}),
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
+            **({} if self.part.report is None else {"read": self.part.report.record()}),
         }
         # What is told in memory is what stands on disk: plain numbers, no numpy scalars.
         return json.loads(json_text(told))
