@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scanmotion.cell.kinematics import scanner_in_object, scanner_poses, tcp_jacobian
 from scanmotion.core.trajectory import joined
 from scanmotion.core.viewpoint import Slack, Viewpoint
-from scanmotion.planning.plan import plan_record
+from scanmotion.plan_io.write import plan_record
 
 SPEED = 0.1
 """What the sweep reaches, less a thousandth [m/s]."""

@@ -25,10 +25,10 @@ from scanmotion.motion.order.helix_choice import joined_stops
 from scanmotion.motion.order.lower_bound import least_scanning_seconds
 from scanmotion.motion.timing.helix import helix_motion, ramp_angle, turns_of, way_law
 from scanmotion.motion.transit_cost import jerk_limited_seconds, move_model, stop_seconds
-from scanmotion.plan_io.schema import csv_text
+from scanmotion.plan_io.write import csv_text
 from scanmotion.planning import helices as joining
 from scanmotion.planning.pipeline import PlanOptions, plan
-from scanmotion.planning.plan import plan_files
+from scanmotion.plan_io.write import plan_files
 
 TURN = 2 * np.pi
 OVERLAPS = (1.0, 0.5, 0.0)

@@ -11,9 +11,10 @@ from scanmotion.core.errors import InputError, PartError
 from scanmotion.core.part import Part
 from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.judge import verify
-from scanmotion.plan_io.schema import CSV_HEADER, read_json, read_plan, read_trajectory
+from scanmotion.plan_io.schema import CSV_HEADER
+from scanmotion.plan_io.read import read_json, read_plan, read_trajectory
 from scanmotion.planning.pipeline import PlanOptions, plan
-from scanmotion.planning.plan import plan_files
+from scanmotion.plan_io.write import plan_files
 
 TINY = {"rounds": 1, "samples": 4000, "stride": 4, "voxel": 0.004}
 

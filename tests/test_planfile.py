@@ -20,18 +20,11 @@ from judged_plan import Written, hand_made_files, hand_made_plan
 from scanmotion.core.errors import PlanFileError, ScanMotionError
 from scanmotion.judge import verify
 from scanmotion.plan_io import schema as planfile
-from scanmotion.plan_io.schema import (
-    CSV_HEADER,
-    PlanRecord,
-    atomic_folder,
-    csv_text,
-    json_text,
-    read_json,
-    read_plan,
-    read_text,
-    read_trajectory,
-)
-from scanmotion.planning.plan import plan_files
+from scanmotion.plan_io.schema import CSV_HEADER, PlanRecord
+from scanmotion.plan_io.files import atomic_folder
+from scanmotion.plan_io.write import csv_text, json_text
+from scanmotion.plan_io.read import read_json, read_plan, read_text, read_trajectory
+from scanmotion.plan_io.write import plan_files
 
 
 @pytest.fixture(scope="module")
@@ -451,7 +444,7 @@ def test_a_killed_run_leaves_one_of_the_two_plans(tmp_path):
     # A process rewrites the folder without end and is killed at odd moments.
     target = tmp_path / "plan"
     code = (
-        "import sys\nfrom scanmotion.plan_io.schema import atomic_folder\nn = 0\n"
+        "import sys\nfrom scanmotion.plan_io.files import atomic_folder\nn = 0\n"
         "while True:\n    n += 1\n"
         "    atomic_folder(sys.argv[1], {'plan.json': str(n), 'a': str(n) * 20000, 'b': str(n)})\n"
         "    print(n, flush=True)\n"

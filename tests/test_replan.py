@@ -12,7 +12,7 @@ from scanmotion.cli.app import app
 from scanmotion.core.errors import InputError, PlanFileError
 from scanmotion.judge import verify
 from scanmotion.plan_io.load import load_plan
-from scanmotion.plan_io.schema import read_json, read_plan, read_trajectory
+from scanmotion.plan_io.read import read_json, read_plan, read_trajectory
 from scanmotion.planning.pipeline import PlanOptions
 from scanmotion.planning.replan import FAILED, last_operation, replan
 

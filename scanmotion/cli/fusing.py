@@ -1,13 +1,16 @@
 """`scanmotion fuse`: measured scans into one."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from scanmotion.cli.app import OK, progress_bar
 from scanmotion.cli.inputs import OUT, Quiet, Units, check_file, check_suffix
 from scanmotion.core.errors import InputError
+
+if TYPE_CHECKING:
+    from scanmotion.sensing.fusion.fuse import Cloud
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".stl", ".obj")
 
@@ -144,7 +147,7 @@ def _seen_from(part: Any, points: Any) -> Any:
     return np.linalg.eigh(centred.T @ centred)[1][:, 0]
 
 
-def write_surface(path: Path, cloud: Any) -> str:
+def write_surface(path: Path, cloud: "Cloud") -> str:
     """The surface through a cloud as binary PLY in mm; says how much it is."""
     from scanmotion.geometry.ply import write_ply
     from scanmotion.sensing.fusion.surface import surface
@@ -154,15 +157,9 @@ def write_surface(path: Path, cloud: Any) -> str:
     return f"{len(triangles)} triangles"
 
 
-def write_cloud(path: Path, cloud: Any) -> str:
+def write_cloud(path: Path, cloud: "Cloud") -> str:
     """A cloud with normals as binary PLY in mm, whole or not at all; says how much it is."""
-    import numpy as np
+    from scanmotion.geometry.ply import write_ply
 
-    from scanmotion.cli.inputs import write_bytes
-
-    names = ("x", "y", "z", "nx", "ny", "nz")
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(cloud.points)}"]
-    head += [f"property float {name}" for name in names] + ["end_header\n"]
-    rows = np.hstack([cloud.points * 1e3, cloud.normals]).astype("<f4")
-    write_bytes(path, "\n".join(head).encode() + rows.tobytes())
+    write_ply(path, cloud.points * 1e3, normals=cloud.normals)
     return f"{len(cloud.points)} points"

@@ -1,13 +1,16 @@
 """`scanmotion verify`, `show` and `export`: what is done with a plan's folder."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from scanmotion.cli.app import CHECK_FAILED, OK, print_table, progress_bar, say_json
 from scanmotion.cli.inputs import OUT, Json, Quiet, write_text
 from scanmotion.core.errors import InputError
+
+if TYPE_CHECKING:
+    from scanmotion.planning.plan import Plan
 
 Folder = Annotated[Path, typer.Argument(help="Folder that `scanmotion plan` wrote.")]
 
@@ -44,7 +47,7 @@ def show(
     if live:
         return _serve(plan, browser=browser)
     with progress_bar(quiet=quiet) as progress:
-        for name, text in pages(plan, progress).items():
+        for name, text in pages(plan, progress=progress).items():
             write_text(folder / name, text)
             if not quiet:
                 typer.echo(str(folder / name))
@@ -53,7 +56,7 @@ def show(
     return OK
 
 
-def _serve(plan: object, *, browser: bool) -> int:
+def _serve(plan: "Plan", *, browser: bool) -> int:
     from threading import Event
 
     from scanmotion.report.scene import live_scene

@@ -14,7 +14,7 @@ from scanmotion.core.errors import InputError
 from scanmotion.export.krl_moves import Block, axes, classic_block, frame, timed_block
 from scanmotion.export.pose import arm_from_urdf
 from scanmotion.export.source import Source, Stretch, checked_line
-from scanmotion.plan_io.schema import read_text
+from scanmotion.plan_io.read import read_text
 
 LINES_A_FILE = 1400
 """Longer programmes are split into pages of at most this many lines."""

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from scanmotion.core.errors import InputError
+from scanmotion.core.whole_file import write_whole
 
 
 def write_ply(
@@ -19,18 +20,19 @@ def write_ply(
 
 def ply_data(
     points: np.ndarray, *, normals: np.ndarray | None = None, colors: np.ndarray | None = None,
-    quality: np.ndarray | None = None, triangles: np.ndarray | None = None,
+    quality: np.ndarray | None = None, triangles: np.ndarray | None = None, double: bool = False,
 ) -> bytes:  # fmt: skip
-    """A binary little-endian PLY in single precision.
+    """A binary little-endian PLY, in the unit of `points`.
 
     Args:
         points: shape (n, 3).
-        normals: shape (n, 3).
+        normals: unit vectors, shape (n, 3).
         colors: shape (n, 3) uint8.
-        quality: shape (n,).
-        triangles: shape (t, 3).
+        quality: a number for each point, shape (n,).
+        triangles: indices of points, shape (t, 3).
+        double: whether points are written in double precision.
     """
-    fields = [("x", "f4"), ("y", "f4"), ("z", "f4")]
+    fields = [(axis, "f8" if double else "f4") for axis in "xyz"]
     fields += [("nx", "f4"), ("ny", "f4"), ("nz", "f4")] if normals is not None else []
     fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")] if colors is not None else []
     fields += [("quality", "f4")] if quality is not None else []
@@ -41,7 +43,7 @@ def ply_data(
     ):  # fmt: skip
         for a, name in enumerate(names if values is not None else ()):
             table[name] = values[:, a]  # pyright: ignore[reportOptionalSubscript]
-    kinds = {"f4": "float", "u1": "uchar"}
+    kinds = {"f4": "float", "f8": "double", "u1": "uchar"}
     lines = ["ply", "format binary_little_endian 1.0", "comment scanmotion", f"element vertex {len(points)}"]
     lines += [f"property {kinds[t]} {n}" for n, t in fields]
     faces = np.zeros(0 if triangles is None else len(triangles), np.dtype([("k", "u1"), ("v", "<i4", (3,))]))
@@ -53,10 +55,12 @@ def ply_data(
 
 
 def replaced(path: Path, data: bytes) -> None:
-    """Writes `data` under a temporary name and renames it: the file is whole or not there."""
-    part = path.with_name(path.name + ".part")
+    """Writes the whole file or none of it.
+
+    Raises:
+        InputError: it cannot be written.
+    """
     try:
-        part.write_bytes(data)
-        part.replace(path)
+        write_whole(path, data)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from None

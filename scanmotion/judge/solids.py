@@ -10,7 +10,8 @@ import numpy as np
 from scanmotion.core.errors import PartError, PlanFileError
 from scanmotion.geometry.part_files import read_geometry
 from scanmotion.judge.motion import Motion, UrdfArm
-from scanmotion.plan_io.schema import PlanRecord, inside
+from scanmotion.plan_io.read import inside
+from scanmotion.plan_io.schema import PlanRecord
 
 TOOL, STILL, PART = 7, -1, -2
 """Groups beside the links 0..6."""
