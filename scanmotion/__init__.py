@@ -29,6 +29,7 @@ _HOMES = {  # a colon behind a name: the module itself
     "verify": "judge",
     "export_plan": "export",
     "compare": "planning.comparison",
+    "study": "studies.run",
     "show": "report.scene:",
     "report": "report.page:",
 }

@@ -33,6 +33,11 @@ def shared_tools() -> Path:
     return _shared("tools")
 
 
+@pytest.fixture(scope="session")
+def shared_cases() -> Path:
+    return _shared("cases")
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(0)

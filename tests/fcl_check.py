@@ -5,7 +5,8 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from scanmotion.cell.build import TABLE, TOOL, Cell
-from scanmotion.cell.collision.sphere_filter import IGNORED_PAIRS
+from scanmotion.cell.collision.pairs import IGNORED_PAIRS
+from scanmotion.cell.collision.shapes import fcl_object
 from scanmotion.cell.drake_scene import add_cell
 
 
@@ -18,7 +19,7 @@ class FclCell:
         add_cell(self.plant, cell)
         self.plant.Finalize()
         self.context = self.plant.CreateDefaultContext()
-        self.names = [*cell.settings.robot.joints, "E1"]
+        self.names = cell.joint_names
         self.shapes = [_shape(b) for b in cell.bodies]
         self.part = None
         if cell.part is not None:
@@ -35,7 +36,7 @@ class FclCell:
         joints = [self.plant.GetJointByName(n) for n in self.names[:6]]
         bodies = [joints[0].parent_body(), *(j.child_body() for j in joints)]
         links = [self.plant.EvalBodyPoseInWorld(self.context, b).GetAsMatrix4() for b in bodies]
-        flange = self.plant.GetFrameByName(self.cell.settings.robot.flange)
+        flange = self.plant.GetFrameByName(self.cell.robot.flange)
         X_WF = flange.CalcPoseInWorld(self.context).GetAsMatrix4()
         table = self.plant.GetBodyByName("turntable")
         X_WO = self.plant.EvalBodyPoseInWorld(self.context, table).GetAsMatrix4() @ self.cell.X_TO
@@ -68,9 +69,7 @@ class FclCell:
 
 
 def _shape(body):
-    if body.shape == "box":
-        return fcl.CollisionObject(fcl.Box(*body.size), fcl.Transform())
-    return fcl.CollisionObject(fcl.Cylinder(*body.size[:2]), fcl.Transform())
+    return fcl_object(body, np.eye(4))
 
 
 def _transform(X: np.ndarray):

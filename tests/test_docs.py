@@ -8,15 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 from scanmotion.cell.settings import load_cell
 from scanmotion.cli import app
 from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.studies.settings import StudySettings
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-SLOW = {"plan", "verify", "show", "export", "compare"}
+SLOW = {"plan", "verify", "show", "export", "compare", "layout"}
 
 
 def commands(page: Path) -> list[str]:
@@ -66,8 +68,11 @@ def test_make_targets_exist():
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_cells_are_read(page, tmp_path):
-    """Blocks of YAML are cells, whole or in part."""
+    """Blocks of YAML are cells, whole or in part, or studies, which begin with their kind."""
     for block in re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.S):
+        if block.startswith("kind:"):
+            StudySettings.model_validate(yaml.safe_load(block))
+            continue
         (tmp_path / "cell.yaml").write_text(block, encoding="utf-8")
         load_cell(tmp_path / "cell.yaml")
 
@@ -126,6 +131,8 @@ def files(tmp_path_factory):
     part = box_part(0.16, 0.12, 0.25)
     write_ply(folder / "statue.ply", part.vertices, part.triangles)
     samples = surface_samples(part, 40_000, rng=rng)
+    study = "kind: viewpoints\nrobots: [kr240, ur10e]\nparts: [{box_mm: [330, 200, 600]}]\n"
+    (folder / "study.yaml").write_text(study)
     on = samples.normals[:, 2] > -0.5
     hole = (np.abs(samples.points - [0.08, 0.0, 0.12]) < [0.01, 0.02, 0.03]).all(axis=1)
     keep = on & ~hole

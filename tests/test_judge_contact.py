@@ -284,7 +284,9 @@ def test_pairs_that_are_looked_at(hand):
             assert pairs[name, other] == 0.03
     groups = {(a.group, b.group) for a, b, allowed in pairs_of(hand.solids, 0.03) if allowed == 0}
     touching = {(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 7), (0, 2), (4, 6), (5, 7)}
-    assert groups == {(i, j) for i in range(8) for j in range(i + 1, 8)} - touching - missing(hand)
+    links = {(i, j) for i in range(8) for j in range(i + 1, 8)} - touching - missing(hand)
+    # What turns must not touch the base, either.
+    assert groups == links | {(PART, 0), (STILL, 0)}
     assert all((a.group, b.name) != (1, "floor") for a, b, _ in pairs_of(hand.solids, 0.03))
 
 

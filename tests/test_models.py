@@ -13,7 +13,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
 from scanmotion.cell.build import robot_facts
-from scanmotion.cell.robot import robot_from_urdf
+from scanmotion.cell.robot_file import robot_from_file
 from scanmotion.cell.settings import builtin_cells, load_cell
 
 MODELS = Path(__file__).resolve().parents[1] / "models"
@@ -120,7 +120,7 @@ def test_inertias_are_the_published_ones(name):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_inertias_are_those_of_solids(name):
     """Positive moments, none above the sum of the others; and a body that is no larger than its boxes."""
-    robot = robot_from_urdf(MODELS / "robots" / f"{name}.urdf", JOINTS, "tool0")
+    robot = robot_from_file(MODELS / "robots" / f"{name}.urdf", JOINTS, "tool0")
     for i, body in enumerate(links_of(plant_of(name))):
         spatial = body.default_spatial_inertia()
         assert spatial.IsPhysicallyValid()
@@ -140,7 +140,7 @@ def corners(robot, link):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_centre_of_mass_is_inside_the_outline(name):
-    robot = robot_from_urdf(MODELS / "robots" / f"{name}.urdf", JOINTS, "tool0")
+    robot = robot_from_file(MODELS / "robots" / f"{name}.urdf", JOINTS, "tool0")
     for i, body in enumerate(links_of(plant_of(name))):
         points = corners(robot, i)
         com = body.default_spatial_inertia().get_com()
@@ -149,7 +149,7 @@ def test_the_centre_of_mass_is_inside_the_outline(name):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_limits_are_the_published_ones(name):
-    robot = robot_from_urdf(MODELS / "robots" / f"{name}.urdf", JOINTS, "tool0")
+    robot = robot_from_file(MODELS / "robots" / f"{name}.urdf", JOINTS, "tool0")
     low, high = np.rad2deg(robot.lower), np.rad2deg(robot.upper)
     assert np.abs(np.column_stack([low, high]) - RANGES[name]).max() < 1e-5
     assert np.abs(np.rad2deg(robot.velocity) - SPEEDS[name]).max() < 1e-5
@@ -169,7 +169,7 @@ def test_facts_beside_the_urdf(name):
 @pytest.mark.parametrize("name", ["kr240", "kr240-ultra"])
 def test_published_reach_is_the_wrist_with_a2_at_its_stop(name):
     """KUKA's reach: horizontal, of the wrist centre, A2 at -5 deg at most (facts 1.0)."""
-    robot = robot_from_urdf(MODELS / "robots" / f"{name}.urdf", JOINTS, "tool0")
+    robot = robot_from_file(MODELS / "robots" / f"{name}.urdf", JOINTS, "tool0")
     from scanmotion.cell.robot import arm_poses
 
     a3 = np.linspace(robot.lower[2], robot.upper[2], 4001)

@@ -12,8 +12,8 @@ from scanmotion.cell.ik.slack_plant import SlackPlant
 from scanmotion.cell.settings import settings_from
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
 from scanmotion.geometry.parts import box_part
+from scanmotion.motion.reach import slack as module
 from scanmotion.motion.reach.find import ReachOptions, reach
-from scanmotion.motion.reach.find import slack as module
 from scanmotion.motion.reach.slack import SlackSearch, distances, has_slack, seeds_from, variants
 
 TOLERANCE_M = 2e-4

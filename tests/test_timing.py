@@ -12,9 +12,20 @@ from hypothesis import strategies as st
 
 from scanmotion.core.errors import TimingError
 from scanmotion.core.tour import Path, Stop, Tour
+from scanmotion.motion.timing import toppra_profile as module
 from scanmotion.motion.timing.jerk_limited import fastest_law, ruckig_law
-from scanmotion.motion.timing.speed_profile import Derivatives, Limits, floor_seconds, parameter_grid
+from scanmotion.motion.timing.operations import transit_motion
+from scanmotion.motion.timing.speed_profile import (
+    Derivatives,
+    Limits,
+    fastest_profile,
+    floor_seconds,
+    parameter_grid,
+    speed_caps,
+)
 from scanmotion.motion.timing.spline import corner_cut, spline_beside, spline_through, subdivided
+from scanmotion.motion.timing.toppra_profile import toppra_profile
+from scanmotion.motion.transit import drive
 
 LIMITS = Limits(
     v=np.array([1.8, 1.6, 1.7, 3.0, 2.3, 3.6, 1.05]),
@@ -186,7 +197,7 @@ def test_one_metre_at_a_tenth_of_a_metre_per_second():
 
 @pytest.mark.parametrize("through", [False, True])
 def test_what_a_law_is_checked_by_is_the_same_as_by_scipy(through):
-    from scanmotion.motion.timing.operations import jerk_limited as scale
+    from scanmotion.motion.timing import jerk_limited as scale
 
     rng = np.random.default_rng(3)
     path, d = joint_path(rng, 5)
@@ -522,3 +533,34 @@ def test_a_sweep_that_changes_the_arms_configuration_is_refused(kr240_cell, time
     with pytest.raises(TimingError, match="leaves its line") as caught:
         time_plan(kr240_cell, tour, [Path(q=flipped[[0, 0]], seconds=0.0, method="joint")])
     assert caught.value.value > caught.value.limit
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_emitted_profile_is_the_librarys_and_agrees_with_the_compiled_one(seed):
+    """Caps and accelerations that vary along the path: two solvers, one answer."""
+    rng = np.random.default_rng(seed)
+    _, d = joint_path(rng, 2)
+    cap = speed_caps(d, d.tcp(d.s), Limits(v=LIMITS.v, a=LIMITS.a, j=LIMITS.j, tcp=0.3))
+    a = LIMITS.a * rng.uniform(0.4, 1.0, len(d.s))[:, None]
+    ours, theirs = fastest_profile(d, cap, a), toppra_profile(d, cap, a)
+    assert np.abs(ours - theirs).max() <= 1e-6 * ours.max()
+    assert (theirs <= cap * (1 + 1e-9)).all()
+
+
+def test_a_transit_that_is_emitted_is_made_by_toppra(monkeypatch, kr240_cell):
+    """What toppra answers is what is driven: at half its speed the transit takes twice as long."""
+    q = np.array([kr240_cell.home, kr240_cell.home + 0.3])
+    once = transit_motion(kr240_cell, q).duration
+    asked = []
+
+    def slower(d, cap, a):
+        asked.append(len(d.s))
+        return toppra_profile(d, cap, a) / 4
+
+    monkeypatch.setattr(module, "toppra_profile", slower)
+    drive._emitted_law.cache_clear()
+    twice = transit_motion(kr240_cell, q)
+    drive._emitted_law.cache_clear()
+    assert asked
+    windows = sum(drive.transit_law(kr240_cell, q)[1].windows)
+    assert twice.duration - windows == pytest.approx(2 * (once - windows), rel=0.02)

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from scanmotion.cell.collision.shapes import fcl_object
 from scanmotion.cell.kinematics import branches
 from scanmotion.cell.model import TABLE as TABLE
 from scanmotion.cell.model import TOOL as TOOL
 from scanmotion.cell.model import WORLD as WORLD
 from scanmotion.cell.model import Cell as Cell
-from scanmotion.cell.robot import Body, Robot, robot_from_urdf
+from scanmotion.cell.robot import Body, Robot
+from scanmotion.cell.robot_file import robot_from_file
 from scanmotion.cell.settings import CellSettings, pose
 from scanmotion.core.errors import CellError
 from scanmotion.core.part import Part
@@ -42,6 +44,24 @@ def robot_facts() -> dict[str, dict[str, Any]]:
     return yaml.safe_load((models_dir() / "robots" / "robots.yaml").read_text(encoding="utf-8"))
 
 
+def robot_of(settings: CellSettings) -> Robot:
+    """The arm that the settings name.
+
+    Raises:
+        CellError: it cannot be read.
+    """
+    robot = settings.robot
+    speed = robot.velocity_deg_s
+    return robot_from_file(
+        robot_path(settings),
+        robot.joints,
+        robot.flange,
+        packages=tuple((Path(settings.folder) / folder).resolve() for folder in robot.packages),
+        turns=robot.endless_deg / 360,
+        speed=None if speed is None else tuple(float(v) for v in np.deg2rad(speed)),
+    )
+
+
 def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
     """Puts the cell together.
 
@@ -52,14 +72,14 @@ def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
     Raises:
         CellError: the robot's model cannot be read, or home is outside the limits.
     """
-    robot = robot_from_urdf(robot_path(settings), settings.robot.joints, settings.robot.flange)
+    robot = robot_of(settings)
     table = settings.turntable
     X_WB = pose(settings.base.position_m, np.deg2rad(settings.base.yaw_deg))
     X_WT = pose((*table.position_m, table.height_m))
     limits = _limits(settings, robot)
     frame: dict[str, Any] = dict(
         settings=settings, part=part, robot=robot, X_WB=X_WB, X_FS=tool_pose(settings), X_WT=X_WT,
-        X_TO=pose((0.0, 0.0, settings.pedestal.height_m)), joint_names=(*settings.robot.joints, "E1"),
+        X_TO=pose((0.0, 0.0, settings.pedestal.height_m)), joint_names=(*robot.joints, "E1"),
         bodies=(*robot.bodies, *_tool_bodies(settings), *_still_bodies(settings)), **limits,
     )  # fmt: skip
     home = _home(Cell(**frame, home=np.zeros(7)))
@@ -69,7 +89,7 @@ def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
 
 
 def check_room(cell: Cell) -> None:
-    """Refuses an obstacle in which the table turns, or what stands on it.
+    """Refuses an obstacle, or a solid fixed to the robot's base, in which the table or what is on it turns.
 
     What turns is taken as round: the table's top, and the circle that the part's farthest point draws.
 
@@ -82,6 +102,7 @@ def check_room(cell: Cell) -> None:
         p_TO = cell.part.vertices @ cell.X_TO[:3, :3].T + cell.X_TO[:3, 3]
         radius, z = float(np.hypot(p_TO[:, 0], p_TO[:, 1]).max()), p_TO[:, 2] + p_WT[2]
         turning.append(("the part as it turns", radius, float(z.min()), float(z.max())))
+    _check_base(cell, turning)
     for number, obstacle in enumerate(cell.settings.obstacles):
         X = pose(obstacle.centre_m, np.deg2rad(obstacle.yaw_deg))
         half = np.array(obstacle.size_m) / 2
@@ -94,6 +115,27 @@ def check_room(cell: Cell) -> None:
                     f"{obstacle.name} stands in {what}: {away * 1e3:.0f} mm from the axis, "
                     f"{radius * 1e3:.0f} mm are swept",
                     key=f"obstacles.{number}",
+                )
+
+
+def _check_base(cell: Cell, turning: list[tuple[str, float, float, float]]) -> None:
+    """Refuses a robot that stands in what turns: (name, radius, least and greatest height) [m]."""
+    import fcl
+
+    standing = [(b.name, b.size, cell.X_WT @ b.X_LG) for b in cell.bodies if b.link == TABLE]
+    for what, radius, low, high in turning:
+        middle = pose((*cell.X_WT[:2, 3], (low + high) / 2))
+        standing.append((what, (radius - 1e-6, high - low - 2e-6), middle))
+    for what, size, X_WG in standing:
+        turns = fcl.CollisionObject(fcl.Cylinder(*size), fcl.Transform(X_WG[:3, :3], X_WG[:3, 3]))
+        for body in cell.bodies:
+            if body.link != 0:
+                continue
+            solid = fcl_object(body, cell.X_WB @ body.X_LG)
+            if fcl.collide(solid, turns, fcl.CollisionRequest(), fcl.CollisionResult()):
+                raise CellError(
+                    f"the robot's base ({body.name}) stands in {what}: move the one or the other",
+                    key="turntable.position_m",
                 )
 
 
@@ -203,7 +245,9 @@ def _home(cell: Cell) -> np.ndarray:
         return home
     toward = cell.X_WB[:3, 3] - cell.X_WT[:3, 3]
     toward[2] = 0.0
-    toward /= max(np.linalg.norm(toward), 1e-9)
+    if np.linalg.norm(toward) < 0.05:
+        raise CellError("the turntable stands where the robot stands", key="turntable.position_m")
+    toward /= np.linalg.norm(toward)
     for height in (0.35, 0.5, 0.7, 0.2, 1.0):
         for distance in (1.0, 0.9, 1.2, 0.8):
             z = -toward

@@ -5,19 +5,20 @@ import tempfile
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
-from xml.etree.ElementTree import SubElement, tostring
 
 import numpy as np
 from defusedxml.ElementTree import fromstring
 from pydrake.common import Parallelism
+from pydrake.geometry import Convex, ProximityProperties
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 
-from scanmotion.cell.collision.sphere_filter import IGNORED_PAIRS
+from scanmotion.cell.collision.pairs import ignored_carriers, on_floor
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
-from scanmotion.cell.robot import Body
+from scanmotion.cell.robot import Body, Robot
+from scanmotion.cell.robot_file import write_arm
 
 # Drake tells of every port it opens and every context it allocates; warnings still come through. Who wants
 # to hear more sets the level after this import.
@@ -88,10 +89,10 @@ def write_models(cell: Cell, folder: Path) -> Path:
         '<axis xyz="0 0 1"/></joint></robot>'
     )
     (folder / "turntable.urdf").write_text(joint)
-    (folder / "arm.urdf").write_text(_drawable(cell.urdf_path.resolve()), encoding="utf-8")
+    arm = _arm_folder(cell.robot)
     lines = ["directives:"]
     for name, file in (
-        ("arm", (folder / "arm.urdf").as_uri()),
+        ("arm", (arm / "arm.urdf").as_uri()),
         ("tool", (folder / "tool.urdf").as_uri()),
         ("turntable", (folder / "turntable.urdf").as_uri()),
         ("stand", (folder / "stand.urdf").as_uri()),
@@ -99,10 +100,10 @@ def write_models(cell: Cell, folder: Path) -> Path:
         ("surroundings", (folder / "surroundings.urdf").as_uri()),
     ):
         lines.append(f"- add_model: {{name: {name}, file: '{file}'}}")
-    base = _base_link(cell)
+    base = _base_link(cell.robot)
     for parent, child, X in (
         ("world", f"arm::{base}", cell.X_WB),
-        (f"arm::{cell.settings.robot.flange}", "tool::tool", np.eye(4)),
+        (f"arm::{cell.robot.flange}", "tool::tool", np.eye(4)),
         ("world", "turntable::turntable_base", cell.X_WT),
         ("world", "stand::stand", cell.X_WT),
         ("world", "floor::floor", np.eye(4)),
@@ -114,31 +115,20 @@ def write_models(cell: Cell, folder: Path) -> Path:
     return path
 
 
-def _drawable(urdf: Path) -> str:
-    """The robot's URDF with pictures that Drake can find; a link without any is drawn as its solids.
-
-    Robots of one's own often name meshes of a ROS package, or of a folder that is not here.
-    """
-    root = fromstring(urdf.read_text(encoding="utf-8"))
-    for link in root.iter("link"):
-        for visual in link.findall("visual"):
-            mesh = visual.find("geometry/mesh")
-            if mesh is None:
-                continue
-            file = urdf.parent / mesh.get("filename", "").removeprefix("file://")
-            if file.suffix.lower() in (".obj", ".gltf", ".glb") and file.is_file():
-                mesh.set("filename", file.resolve().as_uri())
-            else:
-                link.remove(visual)
-        if link.find("visual") is None:
-            for solid in link.findall("collision"):
-                visual = SubElement(link, "visual")
-                visual.extend(element for element in solid if element.tag in ("origin", "geometry"))
-    return tostring(root, encoding="unicode")
+_ARMS: WeakKeyDictionary[Robot, Any] = WeakKeyDictionary()
 
 
-def _base_link(cell: Cell) -> str:
-    root = fromstring(cell.urdf_path.read_text(encoding="utf-8"))
+def _arm_folder(robot: Robot) -> Path:
+    """Where the arm's URDF and its pieces lie; Drake draws from them later on."""
+    if robot not in _ARMS:
+        _ARMS[robot] = tempfile.TemporaryDirectory()
+        write_arm(robot.text, dict(robot.pieces), Path(_ARMS[robot].name))
+    return Path(_ARMS[robot].name)
+
+
+def _base_link(robot: Robot) -> str:
+    """The link that nothing carries."""
+    root = fromstring(robot.text.replace("drake:", "drake_"))
     children = {link.get("link") for link in root.iterfind("joint/child")}
     parents = [link.get("link", "") for link in root.iterfind("joint/parent")]
     return next(p for p in parents if p not in children)
@@ -152,16 +142,47 @@ def add_cell(plant: MultibodyPlant, cell: Cell) -> dict[str, Any]:
     return {info.model_name: info.model_instance for info in added}
 
 
+def add_hull(plant: MultibodyPlant, cell: Cell) -> None:
+    """Welds the convex hull of the part's vertices to the table; nothing where there is no part."""
+    from scipy.spatial import ConvexHull
+
+    if cell.part is None:
+        return
+    points = cell.part.vertices
+    corners = points[ConvexHull(points).vertices]
+    # The stubs of pydrake know no arrays.
+    X: Any = cell.X_TO
+    convex: Any = Convex
+    table = plant.GetBodyByName("turntable", plant.GetModelInstanceByName("turntable"))
+    shape = convex(corners.T, "part")
+    plant.RegisterCollisionGeometry(table, RigidTransform(X), shape, "part", ProximityProperties())
+
+
+def ignored_pairs(plant: MultibodyPlant, cell: Cell) -> list[tuple[Any, Any]]:
+    """Bodies of the plant that are not held against one another: see `collision.pairs`."""
+    arm, tool, floor = (plant.GetModelInstanceByName(name) for name in ("arm", "tool", "floor"))
+    of = {b.carrier: plant.GetBodyByName(b.carrier, arm) for b in cell.bodies if b.carrier}
+    of[""] = plant.GetBodyByName("tool", tool)
+    pairs = [(of[a], of[b]) for a, b in ignored_carriers(cell)]
+    standing = {b.carrier for b in cell.bodies if b.link < TOOL and not on_floor(cell, b)}
+    return pairs + [(of[name], plant.GetBodyByName("floor", floor)) for name in sorted(standing)]
+
+
 class DrakeCell:
     """Plant and collision checker of a cell; the part's true triangles are judged elsewhere.
 
-    Drake takes a mesh as its convex hull in every proximity query, so the part is not among the solids here.
-    One instance belongs to one thread.
+    Drake takes a mesh as its convex hull in every proximity query. One instance belongs to one thread.
+
+    Args:
+        cell: the cell.
+        hull: whether the part's hull is among the solids.
     """
 
-    def __init__(self, cell: Cell) -> None:
+    def __init__(self, cell: Cell, *, hull: bool = False) -> None:
         builder = RobotDiagramBuilder(time_step=0.0)
         instances = add_cell(builder.plant(), cell)
+        if hull:
+            add_hull(builder.plant(), cell)
         builder.plant().Finalize()
         process = cell.settings.process
         options: dict[str, Any] = dict(
@@ -173,6 +194,10 @@ class DrakeCell:
         )
         self.checker = SceneGraphCollisionChecker(**options)
         self.plant = self.checker.plant()
+        self.inspector = self.checker.model().scene_graph().model_inspector()
+        self.context = self.checker.plant_context()
+        of = [self.plant.GetBodyIndices(instances[name]) for name in ("arm", "tool")]
+        self.robot_bodies = [*of[0], *of[1]]
         self._asked = (process.self_clearance_m, process.clearance_m)
         self._order = self._joint_order(cell)
         self.groups = self._groups(cell)
@@ -180,32 +205,20 @@ class DrakeCell:
 
     def _joint_order(self, cell: Cell) -> np.ndarray:
         """Index of each of A1..A6, E1 in the plant's position vector."""
-        names = [*cell.settings.robot.joints, "E1"]
+        names = cell.joint_names
         return np.array([self.plant.GetJointByName(n).position_start() for n in names])
 
     def _groups(self, cell: Cell) -> dict[str, int]:
         """Value of Body.link for the name of each of the plant's bodies."""
-        joints = [self.plant.GetJointByName(n) for n in cell.settings.robot.joints]
-        links = [joints[0].parent_body(), *(j.child_body() for j in joints)]
-        return {b.name(): n for n, b in enumerate(links)} | {
-            "tool": TOOL,
+        return {b.carrier or "tool": b.link for b in cell.bodies if b.link <= TOOL} | {
             "stand": TABLE,
             "surroundings": WORLD,
         }
 
     def _filter(self, cell: Cell) -> None:
         """Links that touch by construction are not judged against one another."""
-        joints = [self.plant.GetJointByName(n) for n in cell.settings.robot.joints]
-        bodies = [
-            joints[0].parent_body(),
-            *(j.child_body() for j in joints),
-            self.plant.GetBodyByName("tool"),
-        ]
-        for a, b in sorted(IGNORED_PAIRS):
-            self.checker.SetCollisionFilteredBetween(bodies[a], bodies[b], True)
-        floor = self.plant.GetBodyByName("floor")
-        for body in bodies[:2]:
-            self.checker.SetCollisionFilteredBetween(body, floor, True)
+        for a, b in ignored_pairs(self.plant, cell):
+            self.checker.SetCollisionFilteredBetween(a, b, True)
 
     def positions(self, q: np.ndarray) -> np.ndarray:
         """The plant's positions for configurations (n, 7)."""

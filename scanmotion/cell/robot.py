@@ -1,34 +1,32 @@
-"""An arm read from its URDF: six revolute axes, limits, and the boxes that bound its links."""
+"""What an arm is: six turning axes, limits, and the solids that move with its links."""
 
-import functools
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
-from defusedxml import DefusedXmlException
-from defusedxml.ElementTree import fromstring
-
-from scanmotion.core.errors import CellError
-
-MOST_M = 20.0
-"""Longest side of a solid of a robot [m]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Body:
-    """A solid fixed to a link: a box, or a cylinder about its z axis."""
+    """A solid fixed to a link: a box, a cylinder about its z axis, or a convex hull."""
 
     name: str
     link: int
     """0 for the base, 1..6 for the links, 7 for the tool (moves with link 6), 8 the table, 9 the world."""
     shape: str
-    """"box" or "cylinder"."""
+    """"box", "cylinder" or "hull"."""
     size: tuple[float, ...]
-    """Full sides (x, y, z), or (radius, length) [m]."""
+    """Full sides (x, y, z), those of its bounding box for a hull; or (radius, length) [m]."""
     X_LG: np.ndarray
     """Pose of the solid in the link's frame, shape (4, 4)."""
+    carrier: str = ""
+    """Link of the URDF that has the solid; empty for the cell's own."""
+    side: bool = False
+    """Whether the carrier hangs by a side branch: before the base, on any link, past the flange."""
+    points: np.ndarray | None = None
+    """Corners of a hull in its own frame, shape (n, 3) [m]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,6 +47,20 @@ class Robot:
     velocity: np.ndarray
     """Shape (6,) [rad/s]."""
     bodies: tuple[Body, ...]
+    joints: tuple[str, ...]
+    """The six joints, as the plant calls them: a name of our own gets another."""
+    flange: str
+    """The flange's link, likewise."""
+    text: str
+    """The URDF as Drake reads it; its meshes are `pieces`."""
+    pieces: Mapping[str, bytes]
+    """OBJ files of the convex pieces of its meshes."""
+    record: bytes
+    """The URDF for a plan's folder; its meshes are `meshes`."""
+    meshes: Mapping[str, bytes]
+    """The collision meshes as they were, by plain names."""
+    notes: tuple[str, ...] = field(default=())
+    """What was repaired or left out when it was read."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,163 +73,6 @@ class Solved:
     """Least singular value of the flange's Jacobian (m and rad mixed), shape (n, slots)."""
     extension: np.ndarray
     """How far inside the arm's reach each wrist is, shape (n,) [m]; negative outside."""
-
-
-def _floats(text: str | None, n: int, where: str) -> np.ndarray:
-    try:
-        values = np.array([float(word) for word in (text or " ".join("0" * n)).split()])
-    except ValueError:
-        raise CellError(f"{where}: {text!r} are not numbers") from None
-    if values.shape != (n,) or not np.isfinite(values).all() or np.abs(values).max(initial=0.0) > 1e4:
-        raise CellError(f"{where}: {n} finite numbers are expected, not {text!r}")
-    return values
-
-
-def rotation_from_rpy(rpy: np.ndarray) -> np.ndarray:
-    """URDF's fixed-axis roll, pitch, yaw, shape (3,) [rad], as a rotation matrix."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def _origin(element: Element, where: str) -> np.ndarray:
-    origin = element.find("origin")
-    X = np.eye(4)
-    if origin is not None:
-        X[:3, 3] = _floats(origin.get("xyz"), 3, where)
-        X[:3, :3] = rotation_from_rpy(_floats(origin.get("rpy"), 3, where))
-    return X
-
-
-@functools.lru_cache(maxsize=16)
-def robot_from_urdf(path: Path, joints: tuple[str, ...], flange: str) -> Robot:
-    """Reads a six-axis arm.
-
-    Args:
-        path: the URDF.
-        joints: names of its six revolute joints from base to flange.
-        flange: link whose frame is the flange, z outward.
-
-    Raises:
-        CellError: unreadable, other than six joints in one chain, limits or shapes that are not usable.
-    """
-    name = path.name
-    if not path.is_file():
-        raise CellError(f"{name}: no such URDF", key="robot.model")
-    if path.stat().st_size > 8 << 20:
-        raise CellError(f"{name}: more than 8 MiB is not a robot's URDF", key="robot.model")
-    try:
-        root = fromstring(path.read_text(encoding="utf-8"))
-    except (ParseError, DefusedXmlException, UnicodeDecodeError, ValueError) as error:
-        raise CellError(f"{name}: is not a readable URDF ({' '.join(str(error).split())[:120]})") from None
-    elements = {str(j.get("name")): j for j in root.iter("joint")}
-    missing = [j for j in joints if j not in elements]
-    if missing or len(joints) != 6:
-        raise CellError(
-            f"{name}: joint {missing or joints} not found; known: {sorted(elements)}", key="robot.joints"
-        )
-    parents = {_link(j, "child", name): j for j in elements.values()}
-    chain = _chain(parents, flange, name)
-    moving = [str(j.get("name")) for j in chain if j.get("type") != "fixed"]
-    if moving != list(joints):
-        raise CellError(
-            f"{name}: the chain to {flange!r} moves by {moving}, not {list(joints)}", key="robot.joints"
-        )
-    X_PJ, axes, limits, links, X = [], [], [], {_link(chain[0], "parent", name): (0, np.eye(4))}, np.eye(4)
-    for joint in chain:
-        X = X @ _origin(joint, f"{name}: joint {joint.get('name')}")
-        if joint.get("type") != "fixed":
-            X_PJ.append(X)
-            X = np.eye(4)
-            axes.append(_axis(joint, name))
-            limits.append(_limit(joint, name))
-        links[_link(joint, "child", name)] = (len(axes), X.copy())
-    low, high, speed = np.array(limits).T
-    return Robot(
-        name=str(root.get("name")), urdf=path, X_PJ=np.array(X_PJ), axes=np.array(axes), X_6F=X,
-        lower=low, upper=high, velocity=speed, bodies=tuple(_bodies(root, links, name)),
-    )  # fmt: skip
-
-
-def _link(joint: Element, role: str, name: str) -> str:
-    element = joint.find(role)
-    if element is None or not element.get("link"):
-        raise CellError(f"{name}: joint {joint.get('name')} has no {role}")
-    return str(element.get("link"))
-
-
-def _chain(parents: dict[str, Element], flange: str, name: str) -> list[Element]:
-    chain, link = [], flange
-    while link in parents:
-        chain.append(parents[link])
-        link = _link(parents[link], "parent", name)
-        if len(chain) > 100:
-            raise CellError(f"{name}: the links form a ring")
-    if not chain:
-        raise CellError(f"{name}: no joint leads to link {flange!r}", key="robot.flange")
-    return chain[::-1]
-
-
-def _axis(joint: Element, name: str) -> np.ndarray:
-    element = joint.find("axis")
-    axis = _floats(element.get("xyz") if element is not None else "1 0 0", 3, f"{name}: axis")
-    if not np.linalg.norm(axis) > 1e-9:
-        raise CellError(f"{name}: joint {joint.get('name')} has no axis")
-    return axis / np.linalg.norm(axis)
-
-
-def _limit(joint: Element, name: str) -> tuple[float, float, float]:
-    where = f"{name}: joint {joint.get('name')}"
-    element = joint.find("limit")
-    if element is None:
-        raise CellError(f"{where} has no limit")
-    low, high, speed = (float(_floats(element.get(k), 1, where)[0]) for k in ("lower", "upper", "velocity"))
-    if not (low < high and high - low <= 100 and 0 < speed < 100):
-        raise CellError(f"{where}: limits {low:g} .. {high:g} rad at {speed:g} rad/s are not usable")
-    return low, high, speed
-
-
-def _bodies(root: Element, links: dict[str, tuple[int, np.ndarray]], name: str) -> list[Body]:
-    bodies = []
-    for link in root.iter("link"):
-        if link.get("name") not in links:
-            continue
-        index, X_JL = links[str(link.get("name"))]
-        for n, collision in enumerate(link.iter("collision")):
-            label = collision.get("name") or f"{link.get('name')}_{n}"
-            X = X_JL @ _origin(collision, f"{name}: {label}")
-            geometry = collision.find("geometry")
-            shape = geometry[0] if geometry is not None and len(geometry) else None
-            bodies.append(_body(label, index, shape, X, name))
-    if not bodies:
-        raise CellError(f"{name}: no collision geometry; boxes, cylinders and spheres are read")
-    return bodies
-
-
-def _body(label: str, index: int, shape: Element | None, X: np.ndarray, name: str) -> Body:
-    where = f"{name}: {label}"
-    kind = shape.tag if shape is not None else "nothing"
-    if shape is not None and kind == "box":
-        return Body(name=label, link=index, shape="box", size=_size(shape, ("size",), 3, where), X_LG=X)
-    if shape is not None and kind == "cylinder":
-        size = _size(shape, ("radius", "length"), 1, where)
-        return Body(name=label, link=index, shape="cylinder", size=size, X_LG=X)
-    if shape is not None and kind == "sphere":
-        side = 2 * _size(shape, ("radius",), 1, where)[0]
-        return Body(name=label, link=index, shape="box", size=(side,) * 3, X_LG=X)
-    raise CellError(f"{where}: collision geometry {kind!r} is not read; boxes, cylinders and spheres are")
-
-
-def _size(shape: Element, keys: tuple[str, ...], n: int, where: str) -> tuple[float, ...]:
-    sizes = tuple(float(v) for key in keys for v in _floats(shape.get(key), n, where))
-    if not 0.0 < min(sizes) <= max(sizes) <= MOST_M:
-        raise CellError(f"{where}: a {shape.tag} of {sizes} m is not usable; 0 to {MOST_M:g} m are")
-    return sizes
 
 
 def rotations(axes: np.ndarray, angles: np.ndarray) -> np.ndarray:

@@ -51,6 +51,15 @@ class RobotSettings(_Settings):
         ("A1", "A2", "A3", "A4", "A5", "A6"), description="the six joints, base to flange"
     )
     flange: str = Field("tool0", description="link whose frame is the flange (z outward)")
+    packages: tuple[str, ...] = Field(
+        (), description="folders in which package:// of a URDF's meshes is sought"
+    )
+    endless_deg: Number = Field(
+        360.0, gt=0.0, le=2000.0, description="bound, each way, of a joint that turns for ever (continuous)"
+    )
+    velocity_deg_s: tuple[Number, ...] | None = Field(
+        None, description="six speeds in place of those that the URDF lacks"
+    )
     acceleration: Literal["rated", "light"] | tuple[Number, ...] = Field(
         "light", description="preset, or six values in rad/s2; light is an estimate for tools up to 10 kg"
     )
@@ -202,10 +211,20 @@ class CellSettings(_Settings):
                 raise ValueError(f"obstacles: the name {name!r} is there twice")
             if name in OWN_NAMES:
                 raise ValueError(f"obstacles: {name!r} is a name of the cell's own: {', '.join(OWN_NAMES)}")
-        for key in ("home_deg", "acceleration"):
+        for key in ("home_deg", "acceleration", "velocity_deg_s"):
             value = getattr(self.robot, key)
             if isinstance(value, tuple) and len(value) != 6:
                 raise ValueError(f"robot.{key}: 6 values are expected, not {len(value)}")
+        if self.robot.velocity_deg_s is not None and min(self.robot.velocity_deg_s) <= 0:
+            raise ValueError("robot.velocity_deg_s: positive values are expected")
+        if len(self.robot.joints) != 6:
+            joints = self.robot.joints
+            more = (
+                "; a rail or a positioner is not planned: make it fixed in the URDF"
+                if len(joints) > 6
+                else ""
+            )
+            raise ValueError(f"robot.joints: six turning joints are expected, not {len(joints)}{more}")
         if isinstance(self.robot.acceleration, tuple) and min(self.robot.acceleration) <= 0:
             raise ValueError("robot.acceleration: positive values are expected")
         return self

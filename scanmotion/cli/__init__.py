@@ -8,6 +8,7 @@ from scanmotion.cli.fusing import fuse
 from scanmotion.cli.geometry import holes, viewpoints
 from scanmotion.cli.looking import export, show, verify
 from scanmotion.cli.planning import plan
+from scanmotion.cli.studying import layout, study_app
 
 __all__ = ["app", "main"]
 
@@ -22,10 +23,12 @@ for _command, _panel, _example in (
     (reach, "One stage alone", "scanmotion reach --robot kr240 --box 330 200 600"),
     (fuse, "One stage alone", "scanmotion fuse turn1.ply turn2.ply --out fused.ply"),
     (robots, "Robots and cells", "scanmotion robots"),
+    (layout, "Many plans", "scanmotion layout --part statue.ply --out layout.yaml"),
 ):
     app.command(rich_help_panel=_panel, epilog=f"Example: {_example}", no_args_is_help=False)(_command)
 
 app.add_typer(cell_app, name="cell", rich_help_panel="Robots and cells")
+app.add_typer(study_app, name="study", rich_help_panel="Many plans")
 
 
 def main() -> None:

@@ -16,6 +16,27 @@ from scanmotion.plan_io.schema import PlanRecord
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class LinkSolid:
+    """A solid of the URDF's collision geometry."""
+
+    name: str
+    carrier: str
+    """Link of the URDF that has it."""
+    group: int
+    """Link 0..6 that it moves with."""
+    side: bool
+    """Whether no joint of the chain starts or ends at its carrier."""
+    kind: str
+    """box, cylinder, sphere or mesh."""
+    size: tuple[float, ...]
+    """As in the URDF [m]; the scale of a mesh."""
+    X_BG: np.ndarray
+    """Pose in the base at zero, shape (4, 4)."""
+    file: str = ""
+    """The mesh's file in the plan's folder."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class UrdfArm:
     """Screws of the joints in the base at zero, and what hangs on each link."""
 
@@ -26,8 +47,8 @@ class UrdfArm:
     lower: np.ndarray
     upper: np.ndarray
     velocity: np.ndarray
-    solids: tuple[tuple[str, int, str, tuple[float, ...], np.ndarray], ...]
-    """(name, link 0..6, shape, size, pose in the base at zero) of the links' collision geometry."""
+    solids: tuple["LinkSolid", ...]
+    """What hangs fixed on the chain, by side branches too."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -54,7 +75,7 @@ def arm_from_urdf(text: str, joints: tuple[str, ...], flange: str) -> UrdfArm:
     """
     try:
         root: Any = fromstring(text)
-        by_child = {j.find("child").get("link"): j for j in root.iter("joint")}
+        by_child = {j.find("child").get("link"): j for j in root.findall("joint")}
         chain: list[Any] = []
         link: str = flange
         while link in by_child and len(chain) < 100:
@@ -73,6 +94,7 @@ def arm_from_urdf(text: str, joints: tuple[str, ...], flange: str) -> UrdfArm:
 
 def _arm(root: Any, chain: list[Any], base: str) -> UrdfArm:
     X, screws, limits, links = np.eye(4), [], [], {base: (0, np.eye(4))}
+    own = set()
     for joint in chain:
         X = X @ _origin(joint)
         if joint.get("type") != "fixed":
@@ -81,32 +103,84 @@ def _arm(root: Any, chain: list[Any], base: str) -> UrdfArm:
                 raise ValueError("a joint without an axis")
             w = w / np.linalg.norm(w)
             screws.append(np.concatenate([w, -np.cross(w, X[:3, 3])]))
-            limit = joint.find("limit")
-            limits.append([float(limit.get(k)) for k in ("lower", "upper", "velocity")])
+            limits.append(_limits(joint))
+            own |= {joint.find(role).get("link") for role in ("parent", "child")}
         links[joint.find("child").get("link")] = (len(screws), X)
+    pending = [j for j in root.findall("joint") if j.find("child").get("link") not in links]
+    solids = _solids(root, _with_branches(links, pending), own)
+    low, high, speed = np.array(limits).T
+    if np.isnan(limits).any() or (low > high).any() or (speed <= 0).any():
+        raise ValueError("limits of the joints")
+    return UrdfArm(
+        screws=np.array(screws), X_BF=X, lower=low, upper=high, velocity=speed, solids=tuple(solids)
+    )
+
+
+def _limits(joint: Any) -> list[float]:
+    """Lower, upper [rad] and greatest speed [rad/s]; what turns for ever, or says no speed, is not bounded.
+
+    Raises:
+        ValueError: a joint that does not turn, or mimics another; values that are not finite.
+    """
+    if joint.get("type") not in ("revolute", "continuous") or joint.find("mimic") is not None:
+        raise ValueError(f"joint {joint.get('name')} is not one that turns by itself")
+    limit = joint.find("limit")
+    values = [float(limit.get(k, "0")) for k in ("lower", "upper", "velocity")]
+    if not np.isfinite(values).all():
+        raise ValueError("limits of the joints")
+    if joint.get("type") == "continuous":
+        values[:2] = [-np.inf, np.inf]
+    if values[2] == 0.0:
+        values[2] = np.inf
+    return values
+
+
+def _with_branches(links: dict[str, tuple[int, np.ndarray]], joints: list[Any]) -> dict:
+    """Adds what hangs on the links by fixed joints, one after the other until nothing is added."""
+    while True:
+        ready = [j for j in joints if j.get("type") == "fixed" and j.find("parent").get("link") in links]
+        if not ready:
+            return links
+        for joint in ready:
+            index, X_BL = links[joint.find("parent").get("link")]
+            links[joint.find("child").get("link")] = (index, X_BL @ _origin(joint))
+            joints.remove(joint)
+
+
+def _solids(root: Any, links: dict[str, tuple[int, np.ndarray]], own: set[str]) -> list[LinkSolid]:
+    """The collision geometry of all links; `own` are those at which a joint of the chain starts or ends.
+
+    Raises:
+        ValueError: a solid that does not move with the chain, or of a kind that is not read.
+    """
     solids = []
-    for link in root.iter("link"):
-        if link.get("name") not in links:
+    for link in root.findall("link"):
+        carrier = link.get("name")
+        if carrier not in links:
+            if link.find("collision") is not None:
+                raise ValueError(f"link {carrier!r} has solids and is not fixed to the chain")
             continue
-        index, X_BL = links[link.get("name")]
-        for n, collision in enumerate(link.iter("collision")):
+        index, X_BL = links[carrier]
+        for n, collision in enumerate(link.findall("collision")):
             shape = next(iter(collision.find("geometry")))
-            name = collision.get("name") or f"{link.get('name')}_{n}"
             if shape.tag == "box":
                 size = tuple(_numbers(shape.get("size"), 3))
             elif shape.tag == "cylinder":
                 size = (float(shape.get("radius")), float(shape.get("length")))
             elif shape.tag == "sphere":
                 size = (float(shape.get("radius")),)
+            elif shape.tag == "mesh":
+                size = tuple(_numbers(shape.get("scale", "1 1 1"), 3))
             else:
                 raise ValueError(f"collision geometry {shape.tag!r}")
-            solids.append((name, index, shape.tag, size, X_BL @ _origin(collision)))
-    low, high, speed = np.array(limits).T
-    if not np.isfinite(limits).all() or (low > high).any() or (speed <= 0).any():
-        raise ValueError("limits of the joints")
-    return UrdfArm(
-        screws=np.array(screws), X_BF=X, lower=low, upper=high, velocity=speed, solids=tuple(solids)
-    )
+            solids.append(
+                LinkSolid(
+                    name=collision.get("name") or f"{carrier}_{n}", carrier=carrier, group=index,
+                    side=carrier not in own, kind=shape.tag, size=size, X_BG=X_BL @ _origin(collision),
+                    file=shape.get("filename", ""),
+                )
+            )  # fmt: skip
+    return solids
 
 
 def _numbers(text: str, n: int) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The solids of a written plan: FCL's shapes, the boxes that hold them, and where they are."""
 
 from dataclasses import dataclass
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,9 @@ import fcl
 import numpy as np
 
 from scanmotion.core.errors import PartError, PlanFileError
+from scanmotion.geometry.collada import triangles_of_collada
 from scanmotion.geometry.part_files import read_geometry
-from scanmotion.judge.motion import Motion, UrdfArm
+from scanmotion.judge.motion import Motion, UrdfArm, motion_at
 from scanmotion.plan_io.read import inside
 from scanmotion.plan_io.schema import PlanRecord
 
@@ -17,6 +19,8 @@ TOOL, STILL, PART = 7, -1, -2
 """Groups beside the links 0..6."""
 _TOUCHING = {(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 7), (0, 2), (4, 6), (5, 7)}
 """Links that meet by construction; base and link 2, links 4 and 6 by their boxes' excess."""
+_POSITIONS = {1: 24, 2: 9}
+"""Positions of each joint that are tried, by how many lie between two links."""
 _FARTHEST_M = 100.0
 """No corner of a part is as far from its origin."""
 _TURNING, _UNDER = ("table", "pedestal"), ("table", "table_column", "pedestal", "floor")
@@ -36,6 +40,10 @@ class Solid:
     """Half sides of the box, shape (3,) [m]."""
     X_CG: np.ndarray
     """Pose of G in what carries it: W at zero for a link, the flange, the object, or W."""
+    carrier: str = ""
+    """Link of the URDF that has it; empty for what the plan lists."""
+    side: bool = False
+    """Whether its carrier hangs on a link of the chain by a side branch."""
 
     @property
     def radius(self) -> float:
@@ -58,9 +66,19 @@ def solids_of(folder: Path, record: PlanRecord, arm: UrdfArm) -> list[Solid]:
         PlanFileError: the part's file has no triangles.
     """
     out = []
-    for name, link, kind, size, X_BG in arm.solids:
-        shape, half = _primitive(kind, size)
-        out.append(Solid(name=name, group=link, shape=shape, half=half, X_CG=X_BG))
+    for solid in arm.solids:
+        X_CG = solid.X_BG
+        if solid.kind == "mesh":
+            shape, half, middle = _mesh(folder, solid.file, np.array(solid.size))
+            X_CG = X_CG @ _shifted(middle)
+        else:
+            shape, half = _primitive(solid.kind, solid.size)
+        out.append(
+            Solid(
+                name=solid.name, group=solid.group, shape=shape, half=half, X_CG=X_CG,
+                carrier=solid.carrier, side=solid.side,
+            )
+        )  # fmt: skip
     for body in record.bodies:
         shape, half = _primitive(body.shape, body.size_m)
         X, group = np.array(body.X), TOOL if body.frame == "flange" else STILL
@@ -84,34 +102,109 @@ def _primitive(kind: str, size: tuple[float, ...]) -> tuple[Any, np.ndarray]:
 
 
 def _part(folder: Path, record: PlanRecord) -> Solid:
+    shape, half, middle = _mesh(folder, record.part_file, np.ones(3))
+    return Solid(name="part", group=PART, shape=shape, half=half, X_CG=_shifted(middle))
+
+
+def _shifted(p: np.ndarray) -> np.ndarray:
+    X = np.eye(4)
+    X[:3, 3] = p
+    return X
+
+
+def _mesh(folder: Path, name: str, scale: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray]:
+    """FCL's object of true triangles about the middle of their box, half its sides, and the middle."""
     try:
-        raw = read_geometry(inside(folder, record.part_file))
+        path = inside(folder, name)
+        if path.suffix.lower() == ".dae":
+            raw = triangles_of_collada(path.read_bytes(), name)
+        else:
+            raw = read_geometry(path)
     except PartError as error:
         raise PlanFileError(str(error)) from None
-    if len(raw.triangles) == 0 or not (np.abs(raw.vertices) < _FARTHEST_M).all():
-        raise PlanFileError(f"{record.part_file}: has no triangles, or corners {_FARTHEST_M:g} m away")
-    low, high = raw.vertices.min(axis=0), raw.vertices.max(axis=0)
+    vertices = raw.vertices * scale
+    if len(raw.triangles) == 0 or not (np.abs(vertices) < _FARTHEST_M).all():
+        raise PlanFileError(f"{name}: has no triangles, or corners {_FARTHEST_M:g} m away")
+    used = vertices[np.unique(raw.triangles)]
+    low, high = used.min(axis=0), used.max(axis=0)
     model = fcl.BVHModel()
-    model.beginModel(len(raw.vertices), len(raw.triangles))
-    model.addSubModel(raw.vertices - (low + high) / 2, raw.triangles)
+    model.beginModel(len(vertices), len(raw.triangles))
+    model.addSubModel(vertices - (low + high) / 2, raw.triangles)
     model.endModel()
-    X_OG = np.eye(4)
-    X_OG[:3, 3] = (low + high) / 2
-    shape = fcl.CollisionObject(model, fcl.Transform())
-    return Solid(name="part", group=PART, shape=shape, half=(high - low) / 2, X_CG=X_OG)
+    return fcl.CollisionObject(model, fcl.Transform()), (high - low) / 2, (low + high) / 2
 
 
-def pairs_of(solids: list[Solid], clearance: float) -> list[tuple[Solid, Solid, float]]:
-    """Which two must keep which distance: robot and surroundings the clearance, links must not touch."""
+def pairs_of(
+    solids: list[Solid], clearance: float, meeting: frozenset[tuple[str, str]] = frozenset()
+) -> list[tuple[Solid, Solid, float]]:
+    """Which two must keep which distance: robot and surroundings the clearance, links must not touch.
+
+    Args:
+        solids: of `solids_of`.
+        clearance: of robot and surroundings [m].
+        meeting: links of the URDF that meet in every position, from `meeting_carriers`.
+    """
     robot = [s for s in solids if s.group >= 1]
     around = [s for s in solids if s.group < 0]
     links = [s for s in solids if s.group >= 0]
-    pairs = [(a, b, clearance) for a in robot for b in around if not (a.group == 1 and b.name == "floor")]
+    base = [s for s in links if s.group == 0]
+    pairs = [(a, b, clearance) for a in robot for b in around if not _stands(a, b)]
     # What turns must not touch what stands about it.
     turning = [s for s in around if s.group == PART or s.name in _TURNING]
     pairs += [(a, b, 0.0) for a in turning for b in around if b.group == STILL and b.name not in _UNDER]
+    pairs += [(a, b, 0.0) for a in turning for b in base]
     for i, a in enumerate(links):
         for b in links[i + 1 :]:
-            if a.group != b.group and (min(a.group, b.group), max(a.group, b.group)) not in _TOUCHING:
+            if _rigid(a) != _rigid(b) and not _touching(a, b, meeting):
                 pairs.append((a, b, 0.0))
     return pairs
+
+
+def _stands(a: Solid, b: Solid) -> bool:
+    """Whether a is of what A1 turns on the floor b."""
+    return a.group == 1 and not a.side and b.name == "floor"
+
+
+def _rigid(a: Solid) -> int:
+    """What a solid moves with; the tool is fixed to link 6."""
+    return min(a.group, 6)
+
+
+def _touching(a: Solid, b: Solid, meeting: frozenset[tuple[str, str]]) -> bool:
+    """Whether two solids of the robot meet by construction: those at the joints, and what always meets."""
+    if a.side or b.side:
+        return (a.carrier, b.carrier) in meeting
+    return (min(a.group, b.group), max(a.group, b.group)) in _TOUCHING
+
+
+def meeting_carriers(solids: list[Solid], record: PlanRecord, arm: UrdfArm) -> frozenset[tuple[str, str]]:
+    """Links of the URDF, one of them on a side branch, that touch wherever the joints between them stand.
+
+    A solid that meets its neighbour in all of some positions cannot be kept off it by any motion.
+    """
+    links = [s for s in solids if s.group >= 0]
+    out = set()
+    for first, second in combinations(sorted({(_rigid(s), s.carrier, s.side) for s in links}), 2):
+        count = second[0] - first[0]
+        if not 1 <= count <= 2 or not (first[2] or second[2]):
+            continue
+        each = _POSITIONS[count]
+        q = np.zeros((each**count, 7))
+        low, high = (np.clip(v, -2 * np.pi, 2 * np.pi) for v in (arm.lower, arm.upper))
+        ranges = [np.linspace(low[k], high[k], each) for k in range(first[0], second[0])]
+        q[:, first[0] : second[0]] = np.stack(np.meshgrid(*ranges), axis=-1).reshape(-1, count)
+        motion = motion_at(arm, record, np.arange(len(q), dtype=float), q)
+        of = [[s for s in links if s.carrier == c[1]] for c in (first, second)]
+        touch = np.zeros(len(q), bool)
+        for a, b in product(*of):
+            for n in np.flatnonzero(~touch):
+                touch[n] = _collide(a, b, a.poses(motion)[n], b.poses(motion)[n])
+        if touch.all():
+            out |= {(first[1], second[1]), (second[1], first[1])}
+    return frozenset(out)
+
+
+def _collide(a: Solid, b: Solid, Xa: np.ndarray, Xb: np.ndarray) -> bool:
+    a.shape.setTransform(fcl.Transform(Xa[:3, :3], Xa[:3, 3]))
+    b.shape.setTransform(fcl.Transform(Xb[:3, :3], Xb[:3, 3]))
+    return bool(fcl.collide(a.shape, b.shape, fcl.CollisionRequest(), fcl.CollisionResult()))

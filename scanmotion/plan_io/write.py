@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 
 import numpy as np
-from pydantic import BaseModel, JsonValue
+from pydantic import BaseModel
 
 from scanmotion import __version__
 from scanmotion.core.errors import InputError
@@ -29,7 +29,8 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
         "plan.json": json_text(plan_record(plan)),
         "trajectory.csv": csv_text(plan.trajectory),
         "trajectory.json": trajectory_json(plan.trajectory, plan.cell.joint_names),
-        "robot.urdf": plan.cell.urdf_path.read_bytes(),
+        "robot.urdf": plan.cell.robot.record,
+        **plan.cell.robot.meshes,
         "part.ply": ply_data(solid.vertices, triangles=solid.triangles, double=True),
         "cell.json": plan.cell.settings.model_dump_json(indent=1) + "\n",
         "holes.json": json_text({"units": "m", "holes": hole_records(plan)}),

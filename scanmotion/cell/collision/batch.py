@@ -3,6 +3,7 @@
 import numpy as np
 from numba import njit
 
+from scanmotion.cell.collision.shapes import inside
 from scanmotion.cell.collision.sphere_filter import (
     _box,
     _box_frame,
@@ -23,7 +24,7 @@ def sure_points(cell: Cell, spheres: tuple) -> np.ndarray:
         cell: the cell.
         spheres: of `filter_from`.
     """
-    points, starts, _, groups = spheres
+    points, starts, _, groups, _ = spheres
     sure = np.zeros(len(points), bool)
     for g, link in enumerate(groups):
         rows = slice(starts[g], starts[g + 1])
@@ -31,17 +32,18 @@ def sure_points(cell: Cell, spheres: tuple) -> np.ndarray:
             if body.link != link or link > TOOL:
                 continue
             p = (points[rows, :3] - body.X_LG[:3, 3]) @ body.X_LG[:3, :3]
-            if body.shape == "box":
-                sure[rows] |= (np.abs(p) <= np.array(body.size) / 2).all(axis=1)
-            else:
-                radius, length = body.size[:2]
-                sure[rows] |= (np.hypot(p[:, 0], p[:, 1]) <= radius) & (np.abs(p[:, 2]) <= length / 2)
+            sure[rows] |= inside(body, p)
     return sure
 
 
 def lattice(body: Body) -> np.ndarray:
-    """Corners, middles of the sides and the middle of a box, or a cylinder's axis, in its link (n, 3) [m]."""
-    if body.shape == "box":
+    """Points of a solid in its link, shape (n, 3) [m].
+
+    Corners, middles of the sides and the middle of a box; a cylinder's axis; a hull's corners.
+    """
+    if body.points is not None:
+        points = body.points
+    elif body.shape == "box":
         signs = np.array(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij")).reshape(3, -1).T
         points = signs[np.abs(signs).sum(axis=1) != 2] * np.array(body.size) / 2
     else:
@@ -132,7 +134,7 @@ def _blocked(q, sure, pad, chain, spheres, boxes, solid, world, grid):
     X = np.empty((8, 3, 4))
     _poses(q, chain, X)
     cos, sin = np.cos(q[6]), np.sin(q[6])
-    points, starts, bounds, groups = spheres
+    points, starts, bounds, groups, floored = spheres
     box_link, box_X, box_half, pairs, self_clearance = boxes
     clearance = world[2]
     T = np.empty((len(box_link), 12))
@@ -145,7 +147,7 @@ def _blocked(q, sure, pad, chain, spheres, boxes, solid, world, grid):
         link = groups[g]
         c = _placed(X[link], bounds[g])
         for b in range(len(box_link)):
-            if not (pairs[link, box_link[b]] and solid[b]):
+            if not (pairs[g, b] and solid[b]):
                 continue
             apart = bounds[g, 3] + middle[b, 3] + self_clearance
             gap = (c[0] - middle[b, 0]) ** 2 + (c[1] - middle[b, 1]) ** 2 + (c[2] - middle[b, 2]) ** 2
@@ -155,13 +157,13 @@ def _blocked(q, sure, pad, chain, spheres, boxes, solid, world, grid):
                 p = _placed(X[link], points[n])
                 if sure[n] and _box(p[0], p[1], p[2], T[b], box_half[b]) < self_clearance - pad:
                     return True
-        if _outside(c[0], c[1], c[2], link > 1, cos, sin, world, grid) > bounds[g, 3]:
+        if _outside(c[0], c[1], c[2], floored[g], cos, sin, world, grid) > bounds[g, 3]:
             continue
         for n in range(starts[g], starts[g + 1]):
             if not sure[n]:
                 continue
             p = _placed(X[link], points[n])
-            d = _at_most(p, link > 1, cos, sin, world, grid)
+            d = _at_most(p, floored[g], cos, sin, world, grid)
             if d < clearance - pad:
                 return True
     return False

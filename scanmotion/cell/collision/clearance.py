@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from scanmotion.cell.collision.batch import first_free, lattice, sure_points, surely_blocked, tool_blocked
-from scanmotion.cell.collision.sphere_filter import box_of, edge_free, edges_free, filter_from, margins
+from scanmotion.cell.collision.shapes import box_of, fcl_object
+from scanmotion.cell.collision.sphere_filter import edge_free, edges_free, filter_from, margins
 from scanmotion.cell.kinematics import link_poses, object_poses
 from scanmotion.cell.model import TOOL, Cell
-from scanmotion.cell.robot import inverse_poses
+from scanmotion.cell.robot import Body, inverse_poses
 
 PAD_M = 0.004
 """Half of the least step along an edge; the fast tier keeps this much more than the clearances [m]."""
@@ -170,10 +171,7 @@ class Clearance:
         for side, group, whole in zip(sides, groups, pair, strict=True):
             for body in self.cell.bodies:
                 if body.link == group and (body.name == "floor") == (whole == "floor"):
-                    X = frames[group] @ body.X_LG
-                    shape = fcl.Box(*body.size) if body.shape == "box" else fcl.Cylinder(*body.size[:2])
-                    solid = fcl.CollisionObject(shape, fcl.Transform(X[:3, :3], X[:3, 3]))
-                    side.append((body.name, solid))
+                    side.append((body.name, fcl_object(body, frames[group] @ body.X_LG)))
         best, names = np.inf, pair
         for a, first in sides[0]:
             for b, other in sides[1]:
@@ -197,8 +195,8 @@ class Clearance:
         model.beginModel(len(part.vertices), len(part.triangles))
         model.addSubModel(np.ascontiguousarray(part.vertices), np.ascontiguousarray(part.triangles))
         model.endModel()
-        bodies = [b for b in self.cell.bodies if 2 <= b.link <= TOOL]
-        shapes = [fcl.CollisionObject(fcl.Box(*(2 * box_of(b))), fcl.Transform()) for b in bodies]
+        bodies = [b for b in self.cell.bodies if 1 <= b.link <= TOOL]
+        shapes = [_near_shape(b) for b in bodies]
         ball = part.bounds.mean(axis=0), float(np.linalg.norm(part.extent)) / 2
         links = np.array([b.link for b in bodies])
         X_LG = np.array([b.X_LG for b in bodies])
@@ -243,6 +241,15 @@ class Clearance:
             if d < best:
                 best, name = d, body.name
         return best, name
+
+
+def _near_shape(body: Body) -> Any:
+    """A body for distances to the part: cylinders by their boxes."""
+    import fcl
+
+    if body.shape == "cylinder":
+        return fcl.CollisionObject(fcl.Box(*(2 * box_of(body))), fcl.Transform())
+    return fcl_object(body, np.eye(4))
 
 
 def _rows(q: np.ndarray) -> np.ndarray:

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from scanmotion.cell.collision.pairs import ignored, on_floor
+from scanmotion.cell.collision.shapes import beyond, box_of
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 from scanmotion.cell.robot import Body
 from scanmotion.core.part import Part
@@ -23,11 +25,6 @@ For an arm as long as the KR 240; a shorter one has finer cells in proportion.
 _LONG_M = 3.6
 """The offsets of the KR 240's joints, one after the other."""
 GRID_M = 0.01
-IGNORED_PAIRS = frozenset({(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (0, 2), (4, 6), (6, 7), (5, 7)})
-"""Links that touch by construction, or whose boxes meet where the robot's bodies do not (robots.md 1.5).
-
-The tool turns about A6 before link 5 only, at a distance that its fixture sets.
-"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,13 +40,6 @@ class Filter:
     """Greatest distance of any moving point from each joint's axis, for bounds on motion, shape (7,) [m]."""
 
 
-def box_of(body: Body) -> np.ndarray:
-    """Half sides of the box that holds a body, shape (3,) [m]."""
-    if body.shape == "box":
-        return np.array(body.size) / 2
-    return np.array([body.size[0], body.size[0], body.size[1] / 2])
-
-
 def _sphere_cover(body: Body, scale: float = 1.0) -> np.ndarray:
     """Spheres (x, y, z, r) in the link's frame that cover the body, shape (k, 4)."""
     half = box_of(body)
@@ -58,6 +48,9 @@ def _sphere_cover(body: Body, scale: float = 1.0) -> np.ndarray:
     axes = [(-half[i] + (2 * np.arange(n[i]) + 1) * half[i] / n[i]) for i in range(3)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     inside = np.all(np.abs(centres) < half - 1.01 * 2 * half / n, axis=1)
+    if body.shape == "hull":
+        # Cells that the hull does not reach need no sphere, and all that it reaches have one.
+        inside = beyond(body, centres) > radius
     centres = centres[~inside] @ body.X_LG[:3, :3].T + body.X_LG[:3, 3]
     return np.column_stack([centres, np.full(len(centres), radius)])
 
@@ -82,18 +75,17 @@ def filter_from(
     starts = np.concatenate([[0], np.cumsum([len(c) for c in covers])])
     bounds = np.array([_bounding(c) for c in covers])
     robot = [b for b in cell.bodies if b.link <= TOOL]
-    pairs = np.ones((TOOL + 1, TOOL + 1), bool)
-    for a, b in IGNORED_PAIRS:
-        pairs[a, b] = pairs[b, a] = False
-    pairs &= np.tri(TOOL + 1, k=-1, dtype=bool)
+    of = {id(b): n for n, b in enumerate(robot)}
+    links = np.array([b.link for b in robot])
+    pairs = ~ignored(cell)[[of[id(b)] for b in moving]] & (groups[:, None] > links)
     return Filter(
         chain=(
             np.ascontiguousarray(cell.robot.X_PJ), np.ascontiguousarray(cell.robot.axes),
             np.ascontiguousarray(cell.X_WB), np.ascontiguousarray(cell.robot.X_6F),
         ),
-        spheres=(spheres, starts, bounds, groups),
+        spheres=(spheres, starts, bounds, groups, np.array([on_floor(cell, b) for b in moving])),
         boxes=(
-            np.array([b.link for b in robot]), np.array([b.X_LG for b in robot]),
+            links, np.array([b.X_LG for b in robot]),
             np.array([box_of(b) for b in robot]), pairs, float(self_clearance),
         ),
         world=(*_world_arrays(cell), float(clearance)),
@@ -291,7 +283,7 @@ def margin(q, chain, spheres, boxes, world, grid, enough):
     X = np.empty((8, 3, 4))
     _poses(q, chain, X)
     cos, sin = np.cos(q[6]), np.sin(q[6])
-    points, starts, bounds, groups = spheres
+    points, starts, bounds, groups, floored = spheres
     box_link, box_X, box_half, pairs, self_clearance = boxes
     T = np.empty((len(box_link), 12))
     middle = np.empty((len(box_link), 4))
@@ -302,7 +294,7 @@ def margin(q, chain, spheres, boxes, world, grid, enough):
     best = enough
     for g in range(len(groups)):
         link = groups[g]
-        floor = link > 1
+        floor = floored[g]
         c = _placed(X[link], bounds[g])
         if _outside(c[0], c[1], c[2], floor, cos, sin, world, grid) - bounds[g, 3] < best:
             for n in range(starts[g], starts[g + 1]):
@@ -311,7 +303,7 @@ def margin(q, chain, spheres, boxes, world, grid, enough):
                 if best < 0:
                     return best
         for b in range(len(box_link)):
-            if not pairs[link, box_link[b]]:
+            if not pairs[g, b]:
                 continue
             apart = bounds[g, 3] + middle[b, 3] + self_clearance + best
             gap = (c[0] - middle[b, 0]) ** 2 + (c[1] - middle[b, 1]) ** 2 + (c[2] - middle[b, 2]) ** 2

@@ -1,13 +1,14 @@
 """The cell as a plant for Drake's InverseKinematics: every solid, the part among them as its hull."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue
 from pydrake.geometry import (
     CollisionFilterDeclaration,
-    Convex,
     GeometrySet,
-    ProximityProperties,
     SceneGraph,
 )
 from pydrake.math import RigidTransform, RotationMatrix
@@ -18,8 +19,7 @@ from pydrake.solvers import SnoptSolver, SolverOptions
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
-from scanmotion.cell.collision.sphere_filter import IGNORED_PAIRS
-from scanmotion.cell.drake_scene import add_cell
+from scanmotion.cell.drake_scene import add_cell, add_hull, ignored_pairs
 
 if TYPE_CHECKING:
     from scanmotion.cell.model import Cell
@@ -27,6 +27,28 @@ if TYPE_CHECKING:
 _AIM_M = 2e-5
 _AIM_RAD = 1e-4
 """How exactly the aimed point and, without slack, the direction are kept."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AskedPose:
+    """A pose of the scanner in the object, and what it may give way in about the aimed point."""
+
+    X_OS: np.ndarray
+    """Shape (4, 4)."""
+    standoff: float
+    """Distance of the aimed point along the axis [m]."""
+    near: float
+    """Least distance allowed [m]."""
+    far: float
+    """Greatest distance allowed [m]."""
+    tilt: float
+    """Greatest angle to X_OS [rad]; of the axis alone where `roll` is free."""
+    roll: bool
+    """Whether the scanner may turn about its axis."""
+
+
+Cost = Callable[[np.ndarray], tuple[float, np.ndarray]]
+"""Cost of a configuration (7,), and its derivatives (7,)."""
 
 
 class SlackPlant:
@@ -47,18 +69,18 @@ class SlackPlant:
         add_cell(self.plant, cell)
         X_FS: Any = cell.X_FS
         X_TO: Any = cell.X_TO
-        flange = self.plant.GetFrameByName(cell.settings.robot.flange)
+        flange = self.plant.GetFrameByName(cell.robot.flange)
         table = self.plant.GetFrameByName("turntable")
         self.frame_S = self.plant.AddFrame(FixedOffsetFrame("S", flange, RigidTransform(X_FS)))
         self.frame_O = self.plant.AddFrame(FixedOffsetFrame("O", table, RigidTransform(X_TO)))
-        if part == "hull" and cell.part is not None:
-            _add_hull(self.plant, cell)
+        if part == "hull":
+            add_hull(self.plant, cell)
         self.plant.Finalize()
         _filter(self.plant, scene, cell)
         self._diagram = builder.Build()
         self._root = self._diagram.CreateDefaultContext()
         self.context = self.plant.GetMyMutableContextFromRoot(self._root)
-        names = [*cell.settings.robot.joints, "E1"]
+        names = cell.joint_names
         self._order = np.array([self.plant.GetJointByName(n).position_start() for n in names])
 
     def positions(self, q: np.ndarray) -> np.ndarray:
@@ -71,47 +93,71 @@ class SlackPlant:
         """A1..A6, E1 of the plant's positions, shape (7,) [rad]."""
         return np.asarray(positions)[self._order]
 
-    def solve(
-        self,
-        X_OS: np.ndarray,
-        distances: tuple[float, float, float],
-        tilt: float,
-        roll: bool,
-        seed: np.ndarray,
-        distance: float,
-    ) -> np.ndarray | None:
+    def solve(self, asked: "AskedPose", seed: np.ndarray, distance: float) -> np.ndarray | None:
         """A configuration near `seed` whose scanner looks at the aimed point within the slack, or None.
 
         Args:
-            X_OS: the pose asked for, shape (4, 4).
-            distances: of the aimed point from X_OS, and the least and greatest allowed, along the axis [m].
-            tilt: greatest angle to X_OS [rad]; of the axis alone where `roll` is free.
-            roll: whether the scanner may turn about its axis.
+            asked: the pose and what it may give way in.
             seed: where the search starts, shape (7,) [rad].
             distance: least distance of all pairs that are judged [m].
         """
+        ik, start = self._program(asked, distance), self.positions(seed)
+        ik.prog().AddQuadraticErrorCost(np.eye(len(start)), start, ik.q())
+        return self._solved(ik, start, 60)
+
+    def refined(
+        self, asked: "AskedPose", seed: np.ndarray, distance: float, cost: "Cost"
+    ) -> np.ndarray | None:
+        """The configuration near `seed` within the slack that costs least, or None where SNOPT finds none.
+
+        Args:
+            asked: the pose and what it may give way in.
+            seed: where the search starts, shape (7,) [rad].
+            distance: least distance of all pairs that are judged [m].
+            cost: cost of a configuration (7,) and its derivatives (7,).
+        """
+        ik, order = self._program(asked, distance), self._order
+
+        def evaluated(positions: Any) -> Any:
+            if positions.dtype != object:
+                return cost(np.asarray(positions, dtype=float)[order])[0]
+            value, slope = cost(ExtractValue(positions).ravel()[order])
+            return AutoDiffXd(value, slope @ ExtractGradient(positions)[order])
+
+        ik.prog().AddCost(evaluated, ik.q())
+        return self._solved(ik, self.positions(seed), 30)
+
+    def least_distance(self, q: np.ndarray, most: float = 0.5) -> float:
+        """Least distance of all pairs that are judged in one configuration (7,), at most `most` [m]."""
+        self.plant.SetPositions(self.context, self.positions(q))
+        port: Any = self.plant.get_geometry_query_input_port()
+        pairs = port.Eval(self.context).ComputeSignedDistancePairwiseClosestPoints(most)
+        return min((float(p.distance) for p in pairs), default=most)
+
+    def _program(self, asked: "AskedPose", distance: float) -> Any:
+        """Drake's InverseKinematics with the pose's constraints and a least distance."""
         # The stubs of pydrake know no arrays.
         ik: Any = InverseKinematics(self.plant, self.context, True)
-        solver: Any = SnoptSolver()
-        standoff, near, far = distances
-        aim = X_OS[:3, 3] + standoff * X_OS[:3, 2]
+        X_OS, near, far = asked.X_OS, asked.near, asked.far
+        aim = X_OS[:3, 3] + asked.standoff * X_OS[:3, 2]
         beside = np.array([_AIM_M, _AIM_M, 0.0])
         ik.AddPositionConstraint(
             self.frame_O, aim, self.frame_S, np.array([0, 0, near]) - beside, np.array([0, 0, far]) + beside
         )
-        z, most = np.array([0.0, 0.0, 1.0]), max(tilt, _AIM_RAD)
-        if roll:
+        z, most = np.array([0.0, 0.0, 1.0]), max(asked.tilt, _AIM_RAD)
+        if asked.roll:
             ik.AddAngleBetweenVectorsConstraint(self.frame_O, X_OS[:3, 2], self.frame_S, z, 0.0, most)
         else:
             R: Any = Rotation.from_matrix(X_OS[:3, :3]).as_matrix()
             ik.AddOrientationConstraint(self.frame_O, RotationMatrix(R), self.frame_S, RotationMatrix(), most)
         ik.AddMinimumDistanceLowerBoundConstraint(distance, 0.05)
-        start = self.positions(seed)
-        prog = ik.prog()
-        prog.AddQuadraticErrorCost(np.eye(len(start)), start, ik.q())
-        options = SolverOptions()
-        options.SetOption(solver.solver_id(), "Major iterations limit", 60)
-        result = solver.Solve(prog, start, options)
+        return ik
+
+    def _solved(self, ik: Any, start: np.ndarray, iterations: int) -> np.ndarray | None:
+        """SNOPT's answer, or None; it stops by work done, not by time."""
+        solver, options = SnoptSolver(), SolverOptions()
+        options.SetOption(solver.solver_id(), "Major iterations limit", iterations)
+        result = solver.Solve(ik.prog(), start, options)
         return self.configuration(result.GetSolution(ik.q())) if result.is_success() else None
 
     @property
@@ -120,27 +166,13 @@ class SlackPlant:
         return self._order
 
 
-def _add_hull(plant: MultibodyPlant, cell: "Cell") -> None:
-    """Welds the convex hull of the part's vertices to the table."""
-    from scipy.spatial import ConvexHull
-
-    assert cell.part is not None
-    points = cell.part.vertices
-    corners = points[ConvexHull(points).vertices]
-    # The stubs of pydrake know no arrays.
-    X: Any = cell.X_TO
-    convex: Any = Convex
-    body, shape = plant.GetBodyByName("turntable"), convex(corners.T, "part")
-    plant.RegisterCollisionGeometry(body, RigidTransform(X), shape, "part", ProximityProperties())
-
-
 def _filter(plant: MultibodyPlant, scene: SceneGraph, cell: "Cell") -> None:
     """Leaves out the pairs that touch by construction, and what does not belong to the robot."""
-    joints = [plant.GetJointByName(n) for n in cell.settings.robot.joints]
-    bodies = [joints[0].parent_body(), *(j.child_body() for j in joints), plant.GetBodyByName("tool")]
-    floor = plant.GetBodyByName("floor")
-    still = [floor, bodies[0], *(plant.GetBodyByName(n) for n in ("surroundings", "stand", "turntable"))]
-    pairs = [(bodies[a], bodies[b]) for a, b in sorted(IGNORED_PAIRS)] + [(bodies[1], floor)]
+    arm = plant.GetModelInstanceByName("arm")
+    base = {b.carrier: plant.GetBodyByName(b.carrier, arm) for b in cell.bodies if b.link == 0}
+    around = ("floor", "surroundings", "stand", "turntable")
+    still = [*base.values(), *(plant.GetBodyByName(n, plant.GetModelInstanceByName(n)) for n in around)]
+    pairs = ignored_pairs(plant, cell)
     pairs += [(a, b) for n, a in enumerate(still) for b in still[n + 1 :]]
     manager = scene.collision_filter_manager()
     for a, b in pairs:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
-from scanmotion.cell.ik.slack_plant import SlackPlant
+from scanmotion.cell.ik.slack_plant import AskedPose, SlackPlant
 from scanmotion.core.viewpoint import Slack, Viewpoint
 
 TRIES = 4
@@ -30,6 +30,15 @@ def distances(cell: Cell, viewpoint: Viewpoint) -> tuple[float, float, float]:
     d, (low, high) = viewpoint.standoff, viewpoint.slack.standoff
     nearest, farthest = cell.settings.scanner.range_m
     return d, max(d + low, min(d, nearest)), min(d + high, max(d, farthest))
+
+
+def asked_pose(cell: Cell, viewpoint: Viewpoint) -> AskedPose:
+    """What a viewpoint asks of the constrained search; a hair's breadth of its slack is kept for rounding."""
+    d, near, far = distances(cell, viewpoint)
+    slack = viewpoint.slack
+    return AskedPose(
+        X_OS=viewpoint.X_OS, standoff=d, near=near, far=far, tilt=_SHARE * slack.tilt, roll=slack.roll
+    )
 
 
 def variants(cell: Cell, viewpoint: Viewpoint) -> list[Viewpoint]:
@@ -84,15 +93,12 @@ class SlackSearch:
             viewpoint: with slack.
             seeds: configurations at or near its poses, in or out of collision, shape (k, 7) [rad].
         """
-        slack = viewpoint.slack
+        asked = asked_pose(self._cell, viewpoint)
         for room in _ROOM_M:
             least = max(self._clearance.clearance, self._clearance.self_clearance) + room
             for seed in seeds[:TRIES]:
-                for plant in self._plants():
-                    q = plant.solve(
-                        viewpoint.X_OS, distances(self._cell, viewpoint), _SHARE * slack.tilt, slack.roll,
-                        seed, least,
-                    )  # fmt: skip
+                for plant in self.plants():
+                    q = plant.solve(asked, seed, least)
                     if q is None:
                         continue
                     q = np.clip(q, self._cell.q_min, self._cell.q_max)
@@ -100,7 +106,7 @@ class SlackSearch:
                         return q
         return None
 
-    def _plants(self) -> tuple[SlackPlant, ...]:
+    def plants(self) -> tuple[SlackPlant, ...]:
         """With the part's hull; and without the part, which then is only checked, where it has hollows."""
         if self._cell.part is None or not self._cell.part.is_mesh:
             return (self._without_part,)

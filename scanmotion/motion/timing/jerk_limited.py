@@ -34,6 +34,10 @@ _ENOUGH = 1.2
 """Ramps of an S-curve cost about a / j; a law that costs little more is taken at once."""
 
 
+Profile = Callable[[Derivatives, np.ndarray, np.ndarray], np.ndarray]
+"""A solver: derivatives, greatest (ds/dt)^2 (n,) and accelerations (n, 7) in, (ds/dt)^2 (n,) out."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TimeLaw:
     """s(t) from rest to rest: a piecewise parabola averaged over two windows, then stretched in time."""
@@ -48,6 +52,8 @@ class TimeLaw:
     """Instants of the parabola's pieces before averaging, shape (n,) [s]."""
     pieces: np.ndarray = field(repr=False)
     """At each knot s and ds/dt, and d2s/dt2 of the piece that follows, shape (n, 3)."""
+    caps: np.ndarray = field(repr=False)
+    """What the profile was asked for: its greatest (ds/dt)^2 and the share of the accelerations, (n, 2)."""
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """The parameter s and its first three time derivatives, shape (n, 4), at times t in [0, duration]."""
@@ -115,10 +121,21 @@ def fastest_law(path: JointSpline, d: Derivatives, limits: Limits) -> TimeLaw:
         if best.duration <= floor + _ENOUGH * ramp:
             break
     assert best is not None
+    return _fitted(path, d, limits, best)
+
+
+def law_with(profile: Profile, path: JointSpline, d: Derivatives, limits: Limits, law: TimeLaw) -> TimeLaw:
+    """The same law, its profile made by another solver of the same problem; arguments as `fastest_law`."""
+    x = profile(d, law.caps[:, 0], limits.a * law.caps[:, 1:])
+    return _fitted(path, d, limits, _law(d.s, x, law.windows, law.floor, law.caps))
+
+
+def _fitted(path: JointSpline, d: Derivatives, limits: Limits, law: TimeLaw) -> TimeLaw:
+    """The law stretched until every limit holds at closely spaced instants."""
     fine = np.interp(np.arange(4 * len(d.s) - 3) / 4, np.arange(len(d.s)), d.s)
     exact = d.tcp(fine)
-    last = _excess(path, lambda s: np.interp(s, fine, exact), best, limits, _LAST_CHECK_S)
-    return _stretched(best, max(float(last.factor.max()) / (1 - MARGIN / 2), 1.0))
+    last = _excess(path, lambda s: np.interp(s, fine, exact), law, limits, _LAST_CHECK_S)
+    return _stretched(law, max(float(last.factor.max()) / (1 - MARGIN / 2), 1.0))
 
 
 def _jerk_limited(
@@ -135,7 +152,7 @@ def _jerk_limited(
     best: TimeLaw | None = None
     for n in range(_ROUNDS):
         x = fastest_profile(d, cap, limits.a * share[:, None])
-        law = _law(d.s, x, windows, floor)
+        law = _law(d.s, x, windows, floor, np.column_stack([cap, share]))
         over = _excess(path, lambda s: np.interp(s, d.s, rate), law, limits, _CHECK_S)
         stretch = float(over.factor.max()) / (1 - MARGIN / 2)
         fitted = _stretched(law, stretch)
@@ -191,6 +208,7 @@ def _stretched(law: TimeLaw, k: float) -> TimeLaw:
         windows=law.windows,
         knots=law.knots,
         pieces=law.pieces,
+        caps=law.caps,
     )
 
 
@@ -299,7 +317,9 @@ def _running_max(x: np.ndarray, half: int) -> np.ndarray:
     return maximum_filter1d(x, 2 * half + 1, mode="nearest")
 
 
-def _law(s: np.ndarray, x: np.ndarray, windows: tuple[float, float], floor: float) -> TimeLaw:
+def _law(
+    s: np.ndarray, x: np.ndarray, windows: tuple[float, float], floor: float, caps: np.ndarray
+) -> TimeLaw:
     """The profile as pieces of constant d2s/dt2, averaged over the windows."""
     v = np.sqrt(x)
     dt = 2 * np.diff(s) / np.maximum(v[:-1] + v[1:], 1e-9)
@@ -312,6 +332,7 @@ def _law(s: np.ndarray, x: np.ndarray, windows: tuple[float, float], floor: floa
         windows=windows,
         knots=knots,
         pieces=pieces,
+        caps=caps,
     )
 
 

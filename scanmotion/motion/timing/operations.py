@@ -1,8 +1,9 @@
 """Timing: operations from rest to rest, inside the limits of every axis and of the scanner's speed.
 
-Transits follow a cubic B-spline beside their checked path (drive.py holds the curve that transit.py checked)
-with the law of scale.py. Sweeps and revolutions are driven by one path parameter with Ruckig's jerk-limited
-law (Berscheid and Kroeger 2021, arXiv:2105.04830), which never leaves the path.
+Transits follow a cubic B-spline beside their checked path (transit/drive.py holds the curve that
+transit/plan.py checked) with the profile of toppra_profile.py, made jerk-limited by jerk_limited.py. Sweeps
+and revolutions are driven by one path parameter with Ruckig's jerk-limited law (Berscheid and Kroeger 2021,
+arXiv:2105.04830), which never leaves the path.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -19,7 +20,7 @@ from scanmotion.motion.timing.helix import HelixMotion, helix_motion
 from scanmotion.motion.timing.jerk_limited import ruckig_law
 from scanmotion.motion.timing.speed_profile import MARGIN, parameter_grid
 from scanmotion.motion.timing.spline import JointSpline, spline_beside, spline_through
-from scanmotion.motion.transit.drive import limits_of, transit_law
+from scanmotion.motion.transit.drive import emitted_law, limits_of
 
 SAMPLE_S = 0.01
 """Distance of the written samples; operations end on whole samples [s]."""
@@ -104,7 +105,7 @@ def motions(cell: Cell, tour: Tour, paths: Sequence[Path]) -> Iterable[Motion | 
 
 def transit_motion(cell: Cell, q: np.ndarray, viewpoints: tuple[str, ...] = ()) -> Motion:
     """A transit along the polyline `q` (k, 7), as fast as the limits and the transit speed allow."""
-    path, law = transit_law(cell, q)
+    path, law = emitted_law(cell, q)
     _check_range(cell, path, viewpoints)
     return Motion(
         kind="transit", viewpoints=viewpoints, path=path, law=law, duration=law.duration, floor=law.floor

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from scanmotion.cell.build import Cell
-from scanmotion.motion.timing.jerk_limited import TimeLaw, fastest_law
+from scanmotion.motion.timing.jerk_limited import TimeLaw, fastest_law, law_with
 from scanmotion.motion.timing.speed_profile import Derivatives, Limits, floor_seconds, parameter_grid
 from scanmotion.motion.timing.spline import JointSpline, spline_beside, subdivided
 from scanmotion.motion.transit_cost import MoveModel, move_model, scanner_positions
@@ -94,6 +94,20 @@ def transit_law(cell: Cell, q: np.ndarray, *, tcp: float | None = None) -> tuple
     q = np.ascontiguousarray(q, dtype=float)
     tcp = float(cell.settings.process.transit_speed_m_s) if tcp is None else tcp
     return _transit_law(cell, q.shape[0], q.tobytes(), tcp)
+
+
+def emitted_law(cell: Cell, q: np.ndarray) -> tuple[JointSpline, TimeLaw]:
+    """As `transit_law` at the transit speed, its profile made by the toppra library: what is emitted."""
+    q = np.ascontiguousarray(q, dtype=float)
+    return _emitted_law(cell, q.shape[0], q.tobytes())
+
+
+@functools.lru_cache(maxsize=512)
+def _emitted_law(cell: Cell, k: int, data: bytes) -> tuple[JointSpline, TimeLaw]:
+    from scanmotion.motion.timing.toppra_profile import toppra_profile
+
+    path, law = transit_law(cell, np.frombuffer(data).reshape(k, 7))
+    return path, law_with(toppra_profile, path, derivatives_on(cell, path), transit_limits(cell), law)
 
 
 @functools.lru_cache(maxsize=512)
