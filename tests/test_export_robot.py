@@ -23,8 +23,7 @@ from scanmotion.export import export_plan, krl
 from scanmotion.export.source import source_from, write_files
 from scanmotion.geometry.parts import box_part
 from scanmotion.judge import verify
-from scanmotion.plan_io.write import csv_text
-from scanmotion.plan_io.write import plan_files
+from scanmotion.plan_io.write import csv_text, plan_files
 
 LAST_DIGIT = 0.51e-5
 """Half of the last digit of a programme's numbers [deg or mm]."""
