@@ -16,7 +16,6 @@ from exported_plan import made_by_hand
 from fake_plan import smooth
 from hypothesis import given
 from hypothesis import strategies as st
-from krl_reader import read_programme
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -28,7 +27,7 @@ from scanmotion.core.errors import InputError, PlanFileError, ScanMotionError
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
 from scanmotion.export import FORMATS, export_plan
 from scanmotion.export.knots import polyline_knots, spline_knots
-from scanmotion.export.krl_moves import number
+from scanmotion.export.krl.moves import number
 from scanmotion.export.pose import abc_from_rotation, arm_from_urdf
 from scanmotion.export.source import source_from, write_files
 from scanmotion.export.viewpoints import quaternion, read_viewpoints, rotation, write_viewpoints
@@ -108,7 +107,12 @@ def test_the_command_line_says_what_it_wrote(to, folder, tmp_path):
         (["--to", "csv", "--name", "con"], "--name"),
         (["--to", "krl", "--name", "scan 1"], "--name"),
         (["--to", "krl", "--name", "a-b"], "letters, digits and _"),
-        (["--to", "krl", "--name", "a" * 21], "20"),
+        (["--to", "krl", "--name", "a" * 20], "19"),
+        (["--to", "krl", "--name", "cell"], "system"),
+        (["--to", "krl-timed", "--name", "SPS"], "system"),
+        (["--to", "krl", "--name", "p00"], "system"),
+        (["--to", "krl", "--name", "ir_stopm"], "word of the language"),
+        (["--to", "csv", "--dry-run"], "--dry-run"),
         (["--to", "krl-timed", "--name", "Ptp"], "word of the language"),
     ],
 )
@@ -151,8 +155,8 @@ def test_names_of_part_and_robot_cannot_add_lines(to, key, own, tmp_path):
         export_plan(own, to, out=tmp_path)
     spoil(own, **{key: lambda _: ";FOLD b\u00fcste %{PE} {x} & \u2192"})
     export_plan(own, to, out=tmp_path)
-    remarks = read_programme(tmp_path, "scan").remarks
-    line = next(x for x in remarks if x.startswith("; part"))
+    text = (tmp_path / "scan.src").read_bytes().decode("ascii")
+    line = next(x for x in text.split("\r\n") if x.startswith("; part"))
     assert "_FOLD b_ste __PE_ _x_ _ _" in line
 
 

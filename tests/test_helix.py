@@ -11,8 +11,6 @@ import pytest
 from helix_plan import ARMS, helix_files, helix_plan, helix_tour, turning_cell, turns
 from judged_plan import Written
 from judging import summarised
-from krl_reader import read_programme
-from scipy.interpolate import CubicSpline
 from test_plan import TINY, pitted
 
 from scanmotion.cell.build import build_cell
@@ -22,6 +20,9 @@ from scanmotion.core.errors import InputError, TimingError
 from scanmotion.export import export_plan
 from scanmotion.geometry.parts import box_part
 from scanmotion.judge import verify
+from scanmotion.judge.programme.check import verify_programme
+from scanmotion.judge.programme.controller import controller_from
+from scanmotion.judge.programme.world import ScriptedScanner
 from scanmotion.motion.order.helix_choice import joined_stops
 from scanmotion.motion.order.lower_bound import least_scanning_seconds
 from scanmotion.motion.timing.helix import helix_motion, ramp_angle, turns_of, way_law
@@ -348,24 +349,21 @@ def test_tables_call_it_a_helix_and_the_scanner_is_on(folder, tmp_path):
     ]  # fmt: skip
 
 
-def test_both_krl_programmes_are_read_back_on_the_planned_path(folder, tmp_path, files):
-    degrees = Written(files).deg[Written(files).rows_with_start(HELIX)]
-    own = Written(files).rows_with_start(HELIX)
-    t = Written(files).t[own] - Written(files).t[own[0]]
-    for to in ("krl", "krl-timed"):
-        export_plan(folder, to, out=tmp_path / to, name="scan_a")
-        fold = read_programme(tmp_path / to, "scan_a").folds[HELIX]
-        assert fold.title.endswith("scanner on") and " helix G0 G1 G2" in fold.title
-        points = np.array([m.joints for m in fold.moves])
-        np.testing.assert_allclose(points[-1], degrees[-1], atol=2e-5)
-        if to == "krl":
-            order = [int(np.abs(degrees - p).max(axis=1).argmin()) for p in points]
-            assert np.abs(degrees[order] - points).max() < 2e-5 and np.all(np.diff(order) > 0)
-            assert {m.kind for m in fold.moves} == {"PTP"}
-            assert max(m.percent for m in fold.moves) <= 100
-        else:
-            back = CubicSpline([m.t for m in fold.moves], points, bc_type="clamped")(t)
-            assert np.abs(back - degrees).max() < 0.015
+@pytest.mark.parametrize("to", ["krl", "krl-timed"])
+def test_krl_programmes_drive_the_helix_and_back_after_a_fault(to, folder, tmp_path):
+    file = export_plan(folder, to, out=tmp_path, name="scan_a")[0]
+    assert verify_programme(file, folder, clearance=False).findings == ()
+    controller = controller_from(file, folder)
+    signals = controller.signals
+    scanner = ScriptedScanner(signals=signals, faults=frozenset([1]), fault_after=6.0, patience=1)
+    run, _ = controller.run(scanner)
+    assert run.ended and scanner.recordings == 2
+    own = run.q[run.step == HELIX + 1]
+    start = np.rad2deg(controller.trajectory.operations[HELIX].q_start)
+    away = np.abs(own - start).max(axis=1)
+    back = int(away[: len(own) // 2].argmax())
+    # It went some way, came back to the start by small steps of the same path, and went again.
+    assert away[back] > 20 and away[back:].min() < 1e-3 and away[-1] > 3 * away[back]
 
 
 # --- when it is taken ---------------------------------------------------------------------------------

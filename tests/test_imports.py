@@ -19,7 +19,7 @@ LAYERS = (
     {"planning"},
     {"plan_io"},
     {"judge", "export", "report"},
-    {"studies"},
+    {"studies", "job"},
     {"cli", "viewpoints"},
     {"__main__"},
 )

@@ -15,8 +15,22 @@ if TYPE_CHECKING:
 Folder = Annotated[Path, typer.Argument(help="Folder that `scanmotion plan` wrote.")]
 
 
-def verify(folder: Folder, quiet: Quiet = False, json: Json = False) -> int:
-    """Judge a plan again from its files alone: limits, clearance, speeds, viewpoints, budget."""
+def verify(
+    folder: Annotated[Path, typer.Argument(help="A plan's folder, or the main file of a programme (.src).")],
+    plan: Annotated[
+        Path | None,
+        typer.Option("--plan", help="The plan that a programme was made from; by default the file's folder."),
+    ] = None,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> int:
+    """Judge a plan again from its files alone, or an exported programme by running it: limits, clearance,
+    speeds, viewpoints, order, handshake.
+    """
+    if folder.is_file():
+        return _verify_programme(folder, plan, quiet=quiet, json=json)
+    if plan is not None:
+        raise InputError("--plan: belongs to a programme's file, not to a plan's folder")
     from scanmotion.judge import verify as judge
 
     with progress_bar(quiet=quiet or json):
@@ -24,11 +38,42 @@ def verify(folder: Folder, quiet: Quiet = False, json: Json = False) -> int:
     if json:
         say_json({"ok": not findings, "findings": [str(f) for f in findings]})
     elif not quiet:
-        if findings:
-            print_table("The judge found", ("finding",), [(str(f),) for f in findings])
-        else:
-            typer.echo("no finding")
+        _say_findings([str(f) for f in findings])
     return CHECK_FAILED if findings else OK
+
+
+def _say_findings(findings: list[str]) -> None:
+    if findings:
+        print_table("The judge found", ("finding",), [(f,) for f in findings])
+    else:
+        typer.echo("no finding")
+
+
+def _verify_programme(file: Path, plan: Path | None, *, quiet: bool, json: bool) -> int:
+    from scanmotion.judge.programme.check import summary_of, verify_programme
+
+    with progress_bar(quiet=quiet or json) as progress:
+        report = verify_programme(file, plan, progress=lambda share: progress("clearance", share))
+    told = summary_of(report)
+    if json:
+        say_json(told)
+    elif not quiet:
+        head = ("step", "kind", "seconds", "planned", "off the path, deg", "mm")
+        rows = [
+            (
+                str(d.step),
+                d.kind,
+                f"{d.seconds:.2f}",
+                f"{d.planned_s:.2f}",
+                f"{d.away_deg:.4f}",
+                f"{d.away_mm:.2f}",
+            )
+            for d in report.deviations
+        ]
+        print_table("The programme against the plan", head, rows)
+        typer.echo(f"{report.seconds:.2f} s, planned {report.planned_s:.2f} s, {report.frames} frames")
+        _say_findings(told["findings"])
+    return CHECK_FAILED if report.findings else OK
 
 
 def show(
@@ -88,8 +133,11 @@ def export(
     name: Annotated[str, typer.Option("--name", help="Name of the robot programme.")] = "scan",
     signal: Annotated[
         int | None,
-        typer.Option("--signal", help="KUKA: the digital output that is on while the scanner scans."),
+        typer.Option("--signal", help="Output that is on while the scanner scans; the cell's by default."),
     ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Scanner off, a tenth of the speed, a halt at each view.")
+    ] = False,
     quiet: Quiet = False,
 ) -> int:
     """Write a plan for a controller or another program."""
@@ -97,7 +145,7 @@ def export(
 
     if out is not None and out.exists() and not out.is_dir():
         raise InputError(f"--out {out}: is not a folder")
-    for path in export_plan(folder, to, out=out, name=name, signal=signal):
+    for path in export_plan(folder, to, out=out, name=name, signal=signal, dry_run=dry_run):
         if not quiet:
             typer.echo(str(path))
     return OK

@@ -9,7 +9,7 @@ class Finding:
 
     code: str
     """One of limits, position, velocity, acceleration, jerk, tcp_speed, rest, order, viewpoint, collision,
-    clearance, budget, sampling, summary.
+    clearance, budget, sampling, summary, frames; of a programme also path, time.
     """
     message: str
     where: str = ""

@@ -184,6 +184,15 @@ class HelixSummary(Open):
     note: str
 
 
+class DrakeSummary(Open):
+    """How much of the motion Drake checked, and how."""
+
+    checked: Count
+    way_m: Real
+    by_triangles: Count
+    findings: Count
+
+
 class Summary(Open):
     """summary.json."""
 
@@ -199,6 +208,7 @@ class Summary(Open):
     time_s: TimeSummary
     budget: BudgetSummary
     helix: HelixSummary | None = None
+    drake: DrakeSummary | None = None
     findings: list[str | dict[str, JsonValue]]
     planning_s: dict[str, Real]
 

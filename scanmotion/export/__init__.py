@@ -1,14 +1,30 @@
 """A plan for other programs: one writer a format, each a function of what the judge judged.
 
-The writers read plan.json and trajectory.csv, the files that `scanmotion verify` judges, and nothing else of
-the trajectory: what is exported is what was judged. docs/exports.md describes every format.
+The writers read plan.json, trajectory.csv and the cell's settings, files that `scanmotion verify` judges, and
+nothing else of the trajectory: what is exported is what was judged. docs/exports.md describes every format.
 """
 
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from scanmotion.core.errors import InputError
 
-FORMATS = ("csv", "json", "viewpoints", "krl", "krl-timed", "ros", "mcap")
+if TYPE_CHECKING:
+    from scanmotion.export.job import Writer
+
+_WRITERS = {
+    "csv": "csv_file.csv_files",
+    "json": "json_file.json_files",
+    "viewpoints": "viewpoints.viewpoint_files",
+    "krl": "krl.programme.classic_files",
+    "krl-timed": "krl.programme.timed_files",
+    "ros": "ros.yaml_files",
+    "mcap": "ros.bag_files",
+}
+FORMATS = tuple(_WRITERS)
+PROGRAMMES = ("krl", "krl-timed")
+"""Formats that a robot's controller runs."""
 
 
 def export_plan(
@@ -18,6 +34,7 @@ def export_plan(
     out: str | Path | None = None,
     name: str = "scan",
     signal: int | None = None,
+    dry_run: bool = False,
 ) -> list[Path]:
     """Writes a plan in another format, each file whole or not at all.
 
@@ -26,8 +43,9 @@ def export_plan(
         to: one of `FORMATS`.
         out: folder to write to, made if missing; by default the plan's own.
         name: of the robot programme, and the stem of the files' names.
-        signal: number of the digital output that a KUKA programme switches on while the scanner scans;
-            None leaves the trigger to whoever edits the programme.
+        signal: number of the digital output that a programme switches on while the scanner scans; None is the
+            cell's `programme.start_out`.
+        dry_run: a programme with the scanner off, at a tenth of the speed, that halts at each view.
 
     Returns:
         The files written.
@@ -39,31 +57,21 @@ def export_plan(
     """
     if to not in FORMATS:
         raise InputError(f"--to {to!r}: unknown format; known are {', '.join(FORMATS)}")
-    if signal is not None and not to.startswith("krl"):
-        raise InputError(f"--signal {signal}: only a KUKA programme (krl, krl-timed) switches an output")
+    if to not in PROGRAMMES and (signal is not None or dry_run):
+        option = f"--signal {signal}" if signal is not None else "--dry-run"
+        raise InputError(f"{option}: only a programme ({', '.join(PROGRAMMES)}) knows it")
+    from scanmotion.export.job import job_from
     from scanmotion.export.source import check_targets, checked_name, source_from, write_files
 
     checked_name(name)
     source = source_from(folder)
     target = Path(folder) if out is None else Path(out)
-    files = _files(source, to, name, signal)
+    files = writer_of(to)(job_from(source, name, signal=signal, dry_run=dry_run))
     check_targets(source, target, files)
     return write_files(target, files)
 
 
-def _files(source, to: str, name: str, signal: int | None) -> dict[str, bytes | str]:
-    if to in ("krl", "krl-timed"):
-        from scanmotion.export.krl import classic_files, timed_files
-
-        return (classic_files if to == "krl" else timed_files)(source, name, signal)
-    if to == "csv":
-        from scanmotion.export.csv_file import csv_files as writer
-    elif to == "json":
-        from scanmotion.export.json_file import json_files as writer
-    elif to == "viewpoints":
-        from scanmotion.export.viewpoints import viewpoint_files as writer
-    elif to == "ros":
-        from scanmotion.export.ros import yaml_files as writer
-    else:
-        from scanmotion.export.ros import bag_files as writer
-    return writer(source, name)
+def writer_of(to: str) -> "Writer":
+    """The writer of one of `FORMATS`."""
+    module, function = _WRITERS[to].rsplit(".", 1)
+    return getattr(import_module(f"scanmotion.export.{module}"), function)

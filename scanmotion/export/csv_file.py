@@ -6,7 +6,7 @@ import io
 import numpy as np
 
 from scanmotion.core.trajectory import SCANNING
-from scanmotion.export.source import Source
+from scanmotion.export.job import Files, Job
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 HEADER: tuple[str, ...] = (
@@ -15,8 +15,9 @@ HEADER: tuple[str, ...] = (
 )  # fmt: skip
 
 
-def csv_files(source: Source, name: str) -> dict[str, bytes | str]:
+def csv_files(job: Job) -> Files:
     """One row a sample: time, positions, velocities, operation, scanning or not, viewpoint ids."""
+    source, name = job.source, job.name
     t = source.trajectory
     # Adding zero turns -0.0 into 0.0.
     q = np.round(np.rad2deg(t.q), 8) + 0.0

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from scanmotion.export.source import Source
+from scanmotion.export.job import Files, Job
 
 VERSION = 1
 UNITS = {
@@ -12,8 +12,9 @@ UNITS = {
 }  # fmt: skip
 
 
-def json_files(source: Source, name: str) -> dict[str, bytes | str]:
+def json_files(job: Job) -> Files:
     """One document: joints over time, operations and their viewpoints, poses of base, tool, table, object."""
+    source, name = job.source, job.name
     record, t = source.record, source.trajectory
     document = {
         "version": VERSION,

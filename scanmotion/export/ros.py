@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 
 from scanmotion.core.errors import InputError
+from scanmotion.export.job import Files, Job
 from scanmotion.export.source import Source
 
 FRAME = "base_link"
 TRAJECTORY, STATES, SCANNING = "/joint_trajectory", "/joint_states", "/scanner_on"
 
 
-def yaml_files(source: Source, name: str) -> dict[str, bytes | str]:
+def yaml_files(job: Job) -> Files:
     """One JointTrajectory message as ROS 2 tools print and read it (`ros2 topic pub` takes it)."""
+    source, name = job.source, job.name
     names = ", ".join(json.dumps(n) for n in source.record.joint_names)
     lines = [
         "# trajectory_msgs/msg/JointTrajectory, rad, rad/s, rad/s2",
@@ -38,12 +40,13 @@ def yaml_files(source: Source, name: str) -> dict[str, bytes | str]:
     return {f"{name}.yaml": "\n".join(lines) + "\n"}
 
 
-def bag_files(source: Source, name: str) -> dict[str, bytes | str]:
+def bag_files(job: Job) -> Files:
     """A rosbag2 folder `<name>_bag`: the trajectory, the joint states over time, and when the scanner is on.
 
     Raises:
         InputError: the library rosbags is missing.
     """
+    source, name = job.source, job.name
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore

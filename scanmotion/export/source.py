@@ -124,6 +124,7 @@ def check_targets(source: Source, target: Path, files: Mapping[str, bytes | str]
         own = False
     record = source.record
     plan = {"plan.json", "summary.json", "trajectory.csv", "trajectory.json", "holes.json", "scan.npz"}
+    plan |= {"frames.csv", "frames.json"}
     plan |= {record.urdf_file.lower(), record.part_file.lower(), record.cell_file.lower()}
     for name in files:
         if own and name.lower() in plan:

@@ -13,7 +13,8 @@ from pydantic import ValidationError
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.viewpoint import Slack, Viewpoint
-from scanmotion.export.source import Source, checked_id, checked_line, write_files
+from scanmotion.export.job import Files, Job
+from scanmotion.export.source import checked_id, checked_line, write_files
 from scanmotion.plan_io.schema import ViewpointRecord
 
 HEADER: tuple[str, ...] = (
@@ -25,8 +26,9 @@ MAX_VIEWPOINTS = 100_000
 _MAX_BYTES = 64 << 20
 
 
-def viewpoint_files(source: Source, name: str) -> dict[str, bytes | str]:
+def viewpoint_files(job: Job) -> Files:
     """Every viewpoint of a plan, served or not, as CSV and as JSON."""
+    source, name = job.source, job.name
     views = [_view(v) for v in source.record.viewpoints]
     return {
         f"{name}_viewpoints.csv": viewpoints_csv(views),

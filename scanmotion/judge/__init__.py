@@ -12,6 +12,7 @@ import numpy as np
 from scanmotion.core.finding import Finding
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.judge.contact import check_clearance
+from scanmotion.judge.frames import check_frames
 from scanmotion.judge.helix import check_helices
 from scanmotion.judge.limits import check_limits, check_record, check_settings, check_speed
 from scanmotion.judge.motion import motion_from
@@ -47,6 +48,8 @@ def verify(folder: str | Path, *, progress: Callable[[float], None] | None = Non
     findings += check_helices(record, trajectory, motion)
     if (folder / "summary.json").exists():
         findings += _check_summary(read_json(folder, "summary.json"), trajectory.duration)
+    if (folder / "frames.csv").exists():
+        findings += check_frames(folder, record, trajectory, motion.arm)
     if (folder / "trajectory.json").exists():
         findings += _check_twin(read_json(folder, "trajectory.json"), trajectory)
     if trajectory.duration > record.process.budget_s:

@@ -12,39 +12,42 @@ from pathlib import Path
 from scanmotion.core.errors import PlanFileError
 
 PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+MARK = "plan.json"
 _AT_FDCWD, _EXCHANGE = -100, 2
 """Linux: paths relative to the working directory; renameat2's RENAME_EXCHANGE."""
 
 
-def atomic_folder(target: str | Path, files: Mapping[str, bytes | str]) -> Path:
+def atomic_folder(target: str | Path, files: Mapping[str, bytes | str], *, mark: str = MARK) -> Path:
     """Writes a folder of files so that a killed run leaves the old folder or the new one, never a mixture.
 
     Args:
         target: a new folder, an empty one, or a plan's folder, which is replaced.
         files: contents by plain file name.
+        mark: name of the file by which a folder that may be replaced is known.
 
     Raises:
-        PlanFileError: the folder cannot be written, or holds what is not a plan.
+        PlanFileError: the folder cannot be written, or holds what is not such a folder.
     """
     check_names(files)
-    with fresh_folder(target) as fresh:
+    with fresh_folder(target, mark=mark) as fresh:
         fill(fresh, files, target)
     return Path(os.path.realpath(target))
 
 
 @contextmanager
-def fresh_folder(target: str | Path) -> Iterator[Path]:
+def fresh_folder(target: str | Path, *, mark: str = MARK) -> Iterator[Path]:
     """An empty folder that takes the place of `target` when the block ends without an exception.
 
     Args:
         target: a new folder, an empty one, or a plan's folder.
+        mark: name of the file by which a folder that may be replaced is known.
 
     Raises:
         PlanFileError: the folder cannot be written, or holds what is not a plan.
     """
     target = Path(os.path.realpath(target))
     try:
-        if target.exists() and not (target.is_dir() and _replaceable(target)):
+        if target.exists() and not (target.is_dir() and _replaceable(target, mark)):
             raise PlanFileError(f"{target}: holds something that is not a plan; it is left as it is")
         target.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
@@ -100,8 +103,8 @@ def _unwritable(target: Path, error: OSError) -> PlanFileError:
     return PlanFileError(f"{target}: cannot be written ({error.strerror})")
 
 
-def _replaceable(folder: Path) -> bool:
-    return (folder / "plan.json").is_file() or not any(folder.iterdir())
+def _replaceable(folder: Path, mark: str) -> bool:
+    return (folder / mark).is_file() or not any(folder.iterdir())
 
 
 def _take_place(fresh: Path, target: Path, old: Path) -> None:

@@ -31,6 +31,7 @@ class Saved:
     plan: Plan
     """With its summary."""
     findings: tuple[Finding, ...]
+    """What Drake finds in the motion, and the judge in the files."""
 
 
 def save(
@@ -84,5 +85,6 @@ def judged(plan: Plan, *, judge: Judge) -> Saved:
 
 
 def _judged(plan: Plan, folder: Path, judge: Judge) -> Saved:
-    findings = tuple(judge(folder))
+    told = () if plan.last_word is None else plan.last_word.findings
+    findings = (*told, *judge(folder))
     return Saved(plan=replace(plan, summary=summary_from(plan, findings)), findings=findings)

@@ -5,12 +5,14 @@ from dataclasses import asdict
 
 import numpy as np
 
+from scanmotion.cell.collision.last_word import LastWord
 from scanmotion.core.errors import InputError
 from scanmotion.core.finding import Finding
 from scanmotion.core.summary import (
     AccuracySummary,
     BudgetSummary,
     Completeness,
+    DrakeSummary,
     FormSummary,
     HelixSummary,
     LeftOut,
@@ -66,6 +68,7 @@ def summary_from(plan: Plan, findings: Sequence[Finding]) -> Summary:
         "time_s": TimeSummary(**{k: round(v, 3) for k, v in plan.time_s().items()}),
         "budget": budget_from(plan),
         **({} if plan.joining is None else {"helix": _helix(plan.joining)}),
+        **({} if plan.last_word is None else {"drake": _drake(plan.last_word)}),
         "findings": [str(f) for f in findings],
         "planning_s": {k: round(v, 2) for k, v in plan.planning_s.items()},
     }  # fmt: skip
@@ -113,6 +116,13 @@ def _helix(joining: Joining) -> HelixSummary:
     return HelixSummary(
         taken=joining.taken, still_seconds=joining.still_seconds, most_lost=MOST_LOST,
         tried=[FormSummary(**asdict(form)) for form in joining.tried], note=joining.note,
+    )  # fmt: skip
+
+
+def _drake(word: LastWord) -> DrakeSummary:
+    return DrakeSummary(
+        checked=word.checked, way_m=round(word.way_m, 3), by_triangles=word.by_triangles,
+        findings=len(word.findings),
     )  # fmt: skip
 
 

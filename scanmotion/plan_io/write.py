@@ -11,6 +11,7 @@ from scanmotion.core.errors import InputError
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.geometry.ply import ply_data
+from scanmotion.plan_io.frames import frame_files
 from scanmotion.plan_io.scan_record import arrays_data, hole_records
 from scanmotion.plan_io.schema import CSV_HEADER, VERSION, PlanRecord
 from scanmotion.planning.plan import Plan
@@ -29,6 +30,7 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
         "plan.json": json_text(plan_record(plan)),
         "trajectory.csv": csv_text(plan.trajectory),
         "trajectory.json": trajectory_json(plan.trajectory, plan.cell.joint_names),
+        **frame_files(plan.trajectory, plan.viewpoints, plan.cell),
         "robot.urdf": plan.cell.robot.record,
         **plan.cell.robot.meshes,
         "part.ply": ply_data(solid.vertices, triangles=solid.triangles, double=True),

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from scanmotion.cell.collision.last_word import last_word
 from scanmotion.cell.settings import CellSettings
 from scanmotion.core.part import Part
 from scanmotion.motion.reach.find import reachable_mask
@@ -102,6 +103,11 @@ def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, s
         left_out: further viewpoints that are not planned: (id, reason).
     """
     found = diagnose(ctx, state)
+    word = None
+    if state.trajectory is not None:
+        with ctx.watch("last word"):
+            ctx.progress("last word", 0.0)
+            word = last_word(ctx.cell, state.trajectory)
     return Plan(
         part=ctx.part, cell=ctx.cell, options=ctx.options, segments=state.segments, searched=state.searched,
         trajectory=state.trajectory, cloud=found.cloud, holes=state.holes,
@@ -109,5 +115,6 @@ def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, s
         visible=found.visible, out_of_reach=found.out_of_reach,
         dropped=(*state.dropped, *left_out), unscanned=found.unscanned,
         scans=state.scans if ctx.options.keep_scans else (),
-        corrections=state.corrections, joining=state.joining, planning_s=ctx.watch.seconds(),
+        corrections=state.corrections, joining=state.joining, last_word=word,
+        planning_s=ctx.watch.seconds(),
     )  # fmt: skip

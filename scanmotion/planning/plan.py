@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from scanmotion.cell.build import Cell
+from scanmotion.cell.collision.last_word import LastWord
 from scanmotion.core.finding import Finding
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.summary import Summary
@@ -55,6 +56,8 @@ class Plan:
     """Calibration and registration, where there were any."""
     joining: Joining | None = None
     """What came of joining turns, where that was allowed."""
+    last_word: LastWord | None = None
+    """What Drake says of the whole motion; None where nothing moves."""
     summary: Summary | None = None
     """What the plan achieves and what the judge found; None until it is saved."""
 

@@ -154,8 +154,9 @@ def _with_scan(ctx: Context, simulator: Simulator, state: PlanState, scan: Scan)
     corrections, cloud, voxel = state.corrections, state.cloud, ctx.options.voxel
     if corrections is not None:
         scan, corrections = corrected_scan(
-            scan, cloud, corrections, part=simulator.part, voxel=voxel, index=len(state.segments)
-        )
+            scan, cloud, corrections, part=simulator.part, voxel=voxel, index=len(state.segments),
+            latency=simulator.errors.latency_s != 0,
+        )  # fmt: skip
     images = depth_images(scan, ctx.scanner, stride=ctx.options.stride)
     if len(scan):
         new = fuse([scan], voxel=voxel)

@@ -71,11 +71,20 @@ def report_html(plan: Plan) -> str:
         _settings(plan, summary),
     ]
     body = "\n".join(s for s in sections if s)
-    title = f"scanmotion: {escape(plan.part.name)}"
+    return page(f"scanmotion: {plan.part.name}", body)
+
+
+def page(title: str, body: str) -> str:
+    """A whole HTML page in the house's style that may load nothing from anywhere.
+
+    Args:
+        title: plain text.
+        body: HTML.
+    """
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
-        f"<title>{title}</title><style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
+        f"<title>{escape(title)}</title><style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
     )
 
 

@@ -58,7 +58,7 @@ def cloud_data(cloud: Cloud) -> bytes:
     return ply_data(cloud.points * 1e3, normals=cloud.normals, quality=cloud.counts.astype(float))
 
 
-_CAPTURES = ("t", "X_WS", "table_angle", "X_WT", "X_TO", "table_sense")
+_CAPTURES = ("t", "X_WS", "table_angle", "X_WT", "X_TO", "table_sense", "rates")
 
 
 def save_scan(path: str | Path, scan: Scan) -> None:

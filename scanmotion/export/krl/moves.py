@@ -1,0 +1,206 @@
+"""The moves of one operation in KRL: as PTP and LIN, or as a timed spline, and the way back to its start."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from scanmotion.core.errors import InputError
+from scanmotion.export.job import DRY_PERCENT, Job
+from scanmotion.export.knots import polyline_knots, spline_knots
+from scanmotion.export.pose import abc_from_rotation
+from scanmotion.export.source import Stretch
+
+MOST_POINTS = 300
+"""Points of one operation: a block of them, with the way back, still fits into a page."""
+PTP_DEG, SCAN_DEG = 0.05, 0.01
+"""How far a joint may be from the planned path between two PTP points, and so where it scans [deg]."""
+CUT_DEG = 0.2
+"""C_PTP rounds a corner by no more than this [deg]."""
+LIN_M, LIN_RAD = 0.2e-3, np.deg2rad(0.05)
+"""How far the scanner may be from the planned path between two LIN points."""
+SPLINE_DEG = 0.002
+"""How far a cubic spline through the timed points may be from the planned joints [deg]."""
+SPLINE_LONGEST_S, SPLINE_SHORTEST_S = 0.25, 0.03
+"""Greatest and least time between two points of a timed spline [s]."""
+BACK_PERCENT, BACK_M_S = 10, 0.05
+"""Speed of the way back after a fault of the scanner: of the joints, and of the scanner on a line [m/s]."""
+_NAMES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
+_MOST = 1e5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """Lines of one operation and how true they are to the plan."""
+
+    lines: tuple[str, ...]
+    back: tuple[str, ...] = ()
+    """The way back to the operation's start, along what was driven."""
+    away: float = 0.0
+    """Greatest distance of a joint from the plan [deg]."""
+    cut: float = 0.0
+    """Greatest further distance where corners are rounded [deg]."""
+
+
+def number(value: float, digits: int = 5) -> str:
+    """A number in fixed notation; KRL's REAL has 32 bits, so more than five decimals of a degree are lost.
+
+    Raises:
+        InputError: not finite, or larger than any joint or length can be.
+    """
+    if not abs(value) < _MOST:
+        raise InputError(f"{float(value)!r} is no number for a robot programme")
+    return f"{round(float(value), digits) + 0.0:.{digits}f}"
+
+
+def axes(degrees: np.ndarray) -> str:
+    """E6AXIS of seven joints [deg]."""
+    return "{" + ",".join(f"{n} {number(v)}" for n, v in zip(_NAMES, degrees, strict=True)) + "}"
+
+
+def frame(X: np.ndarray, e1: float | None = None) -> str:
+    """FRAME of a pose, in mm and degrees; with `e1` [deg], the E6POS of a point for LIN, without S and T."""
+    values = [*(X[:3, 3] * 1e3), *np.rad2deg(abc_from_rotation(X[:3, :3]))]
+    text = ",".join(f"{n} {number(v)}" for n, v in zip("XYZABC", values, strict=True))
+    return "{" + text + ("" if e1 is None else f",E1 {number(e1)}") + "}"
+
+
+def still(stretch: Stretch) -> bool:
+    """Whether nothing moves by as much as the programme's last digit."""
+    return bool(np.ptp(np.rad2deg(stretch.q), axis=0).max() < 1e-5)
+
+
+def classic_block(stretch: Stretch, job: Job) -> Block:
+    """PTP along the planned joint path; LIN for a sweep; WAIT for a dwell."""
+    if still(stretch):
+        return _wait(stretch, job)
+    if stretch.operation.kind == "sweep":
+        return _sweep(stretch, job)
+    q = np.rad2deg(stretch.q)
+    knots, away = polyline_knots(q, SCAN_DEG if stretch.operation.scanning else PTP_DEG, most=MOST_POINTS)
+    lines, points, last, rounded, apo = [], q[knots], 0, 0.0, 0
+    marks = stretch.operation.kind == "helix"
+    percents = ptp_percents(stretch, knots, job)
+    for i in range(1, len(knots)):
+        percent = max(percents[i - 1] * DRY_PERCENT // 100, 1) if job.dry_run else percents[i - 1]
+        if percent != last:
+            lines.append(f"{job.name}_SPD ({percent})")
+            last = percent
+        suffix = ""
+        if i + 1 < len(knots):
+            share = rounding(points[i - 1 : i + 2])
+            if share != apo:
+                lines.append(f"$APO.CPTP={share}")
+                apo = share
+            suffix, rounded = " C_PTP", max(rounded, cut_of(points[i - 1 : i + 2], share))
+        if marks:
+            lines.append(f"TRIGGER WHEN DISTANCE=1 DELAY=0 DO {job.name}_AT={i}")
+        lines.append(f"PTP {axes(points[i])}{suffix}")
+    lines.append(f"{job.name}_SPD (100)")
+    return Block(lines=tuple(lines), back=_back(stretch, points, job), away=away, cut=rounded)
+
+
+def rounding(points: np.ndarray) -> int:
+    """$APO.CPTP of the middle of three points, shape (3, k) [deg]: the greatest that cuts CUT_DEG at most."""
+    bend = float(np.abs(points[0] - 2 * points[1] + points[2]).max())
+    return int(np.clip(np.floor(8 * CUT_DEG / max(bend, 1e-9) * 100), 1, 100))
+
+
+def cut_of(points: np.ndarray, share: int) -> float:
+    """How far the rounded corner passes the middle one of three points [deg].
+
+    100 percent of C_PTP begins half-way between the points; the curve is taken as a parabola.
+    """
+    return float(np.abs(points[0] - 2 * points[1] + points[2]).max()) / 8 * share / 100
+
+
+def ptp_percents(stretch: Stretch, knots: np.ndarray, job: Job) -> list[int]:
+    """Speed of each PTP: neither a joint nor the scanner is faster than the plan between the same points."""
+    p_BS = (job.arm.X_BF(stretch.q) @ job.X_FS)[:, :3, 3]
+    planned = np.linalg.norm(np.gradient(p_BS, stretch.t, axis=0), axis=1)
+    share = np.linspace(0, 1, 9)[:, None]
+    found = []
+    for a, b in pairwise(knots):
+        step = stretch.q[b] - stretch.q[a]
+        peak = float((np.abs(stretch.qd[a : b + 1]) / job.fastest).max())
+        # What the scanner would do at 100 percent, where the joint that needs longest sets the pace.
+        seconds = float((np.abs(step) / job.fastest).max())
+        dense = (job.arm.X_BF(stretch.q[a] + share * step) @ job.X_FS)[:, :3, 3]
+        full = float(np.linalg.norm(np.diff(dense, axis=0), axis=1).max()) * (len(share) - 1) / seconds
+        if full > 1e-6:
+            peak = min(peak, float(planned[a : b + 1].max()) / full)
+        found.append(int(np.clip(np.floor(100 * peak + 1e-6), 1, 100)))
+    return found
+
+
+def timed_block(stretch: Stretch, job: Job) -> Block:
+    """A spline whose points carry the planned instants as shares of the block's time."""
+    if still(stretch):
+        return _wait(stretch, job)
+    t, q = stretch.t, np.rad2deg(stretch.q)
+    knots, away = spline_knots(
+        t, q, SPLINE_DEG, longest=SPLINE_LONGEST_S, shortest=SPLINE_SHORTEST_S, most=MOST_POINTS
+    )
+    share = np.round(100 * (t[knots] - t[0]) / stretch.duration, 5)
+    marks = stretch.operation.kind == "helix"
+    # The first point is where the arm stands already; public programmes put it before TIME_BLOCK START.
+    lines = ["PTP_SPLINE", f" SPTP {axes(q[0])}", " TIME_BLOCK START"]
+    for n, (i, part) in enumerate(zip(knots[1:], np.diff(share), strict=True), 1):
+        if marks:
+            lines.append(f" TRIGGER WHEN PATH=0 DELAY=0 DO {job.name}_AT={n}")
+        lines += [f" SPTP {axes(q[i])}", f" TIME_BLOCK PART = {number(part)}"]
+    seconds = stretch.duration * (100 / DRY_PERCENT if job.dry_run else 1)
+    lines += [f" TIME_BLOCK END = {number(seconds, 4)}", "ENDSPLINE"]
+    return Block(lines=tuple(lines), back=_back(stretch, q[knots], job), away=away)
+
+
+def _wait(stretch: Stretch, job: Job) -> Block:
+    """A standstill."""
+    return Block(lines=(f"WAIT SEC {number(stretch.duration, 4)}",))
+
+
+def _back(stretch: Stretch, points: np.ndarray, job: Job) -> tuple[str, ...]:
+    """The way back to where an operation starts, along what was driven.
+
+    A turn of the table and a straight line of the scanner have one way back; a helix goes back through the
+    points that it has passed, which the programme counts.
+    """
+    kind = stretch.operation.kind
+    if kind == "sweep":
+        X, e1 = (job.arm.X_BF(stretch.q[:1]) @ job.X_FS)[0], float(np.rad2deg(stretch.q[0, 6]))
+        return (f"$VEL.CP={number(BACK_M_S, 3)}", f"LIN {frame(X, e1)}", f"{job.name}_CP (FALSE)")
+    if kind == "revolution":
+        return (f"{job.name}_SPD ({BACK_PERCENT})", f"PTP {axes(points[0])}")
+    if kind != "helix":
+        return ()
+    lines = [f"{job.name}_SPD (1)"]
+    for n in range(len(points) - 2, 0, -1):
+        lines += [f"IF {job.name}_AT>={n} THEN", f"PTP {axes(points[n])}", "ENDIF"]
+    return (*lines, f"PTP {axes(points[0])}")
+
+
+def _sweep(stretch: Stretch, job: Job) -> Block:
+    """LIN of the scanner's frame in the robot's base at the sweep's own speed."""
+    X_BS = job.arm.X_BF(stretch.q) @ job.X_FS
+    p, e1 = X_BS[:, :3, 3], np.rad2deg(stretch.q[:, 6])
+    turned = Rotation.from_matrix(X_BS[:, :3, :3] @ X_BS[0, :3, :3].T).as_rotvec()
+    path = np.column_stack([p / LIN_M, turned / LIN_RAD, e1[:, None] / PTP_DEG])
+    knots, _ = polyline_knots(path, 1.0, most=MOST_POINTS)
+    velocity = np.gradient(p, stretch.t, axis=0)
+    speed = float(np.linalg.norm(velocity, axis=1).max())
+    if speed < 1e-6:
+        raise InputError(f"sweep {' '.join(stretch.operation.viewpoints[:3])} does not move the scanner")
+    gain = float(np.linalg.norm(np.gradient(velocity, stretch.t, axis=0), axis=1).max())
+    speed *= DRY_PERCENT / 100 if job.dry_run else 1
+    lines = [
+        f"$VEL.CP={number(speed, 4)}",
+        f"$ACC.CP={number(max(gain, 0.05), 3)}",
+        "$VEL.ORI1=30", "$VEL.ORI2=30", "$ACC.ORI1=60", "$ACC.ORI2=60",
+    ]  # fmt: skip
+    for i in knots[1:]:
+        suffix = "" if i == knots[-1] else " C_DIS"
+        lines.append(f"LIN {frame(X_BS[i], float(e1[i]))}{suffix}")
+    lines.append(f"{job.name}_CP (FALSE)")
+    block = Block(lines=tuple(lines))
+    return replace(block, back=_back(stretch, np.rad2deg(stretch.q[[0, -1]]), job))

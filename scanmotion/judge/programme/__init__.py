@@ -1,0 +1,1 @@
+"""Readers of exported programmes, and the machine that runs what they read."""
