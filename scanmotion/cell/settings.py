@@ -16,6 +16,7 @@ from scanmotion.cell.error_settings import (
     TwinSettings,
 )
 from scanmotion.cell.programme_settings import ProgrammeSettings
+from scanmotion.cell.scanner_presets import with_scanner_preset
 from scanmotion.core.errors import CellError
 from scanmotion.core.scanner import MATERIALS, Scanner
 from scanmotion.geometry.parts import models_dir
@@ -108,6 +109,10 @@ class ObstacleSettings(Settings):
 class ScannerSettings(Settings):
     """Table 1 of the paper, and the noise of the scan twin."""
 
+    model: str | None = Field(
+        None,
+        description="preset that gives the keys below, and housing, standoff and frame rate; null for none",
+    )
     field_deg: tuple[Number, Number] = Field((30.0, 21.0), description="field of view, long and short side")
     range_m: tuple[Number, Number] = Field((0.4, 1.0), description="least and greatest working distance")
     max_incidence_deg: Number = Field(
@@ -276,7 +281,7 @@ def settings_from(data: dict[str, Any], *, folder: str = "") -> CellSettings:
         CellError: as load_cell.
     """
     try:
-        return CellSettings.model_validate({**data, "folder": folder})
+        return CellSettings.model_validate({**with_scanner_preset(data), "folder": folder})
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal")))

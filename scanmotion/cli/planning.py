@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from scanmotion.cli.app import CHECK_FAILED, OK, Progress, print_table, progress_bar, say_json
+from scanmotion.cli.complete import is_complete, say_answer, write_answer
 from scanmotion.cli.inputs import (  # fmt: skip
     CELL,
     OUT,
@@ -28,6 +29,7 @@ from scanmotion.cli.inputs import (  # fmt: skip
     check_mode,
     check_out_folder,
     part_and_source,
+    say_read,
 )
 from scanmotion.core.errors import InputError
 
@@ -50,7 +52,7 @@ def plan(
     part: PartFile = None,
     box: Box = None,
     scan: ScanFile = None,
-    units: Units = "mm",
+    units: Units = "",
     up: Up = "+z",
     place: Place = "",
     budget: Annotated[
@@ -144,6 +146,7 @@ def plan(
     check_known("--strategy", strategy, STRATEGIES)
     check_out_folder(out)
     only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
+    subject = answer = None
     check_budget(budget)
     from scanmotion.planning.options import PlanOptions
 
@@ -158,7 +161,15 @@ def plan(
         request = New(part=subject, settings=settings, options=options)
     with progress_bar(quiet=quiet or json) as progress:
         made = request.planned(progress)
-        made.save(out, pages=partial(pages, progress=progress) if html else None)
+        if is_complete(made):
+            answer = write_answer(made, out, html=html)
+        else:
+            made.save(out, pages=partial(pages, progress=progress) if html else None)
+    if subject is not None:
+        say_read(subject, quiet=quiet or json)
+    if answer is not None:
+        say_answer(answer, out, html=html, quiet=quiet, json=json)
+        return OK
     summary = read_summary(out)
     if json:
         say_json(summary.document())

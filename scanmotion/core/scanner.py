@@ -61,6 +61,23 @@ class Scanner:
     """A glossy surface blinds the camera where its normal lies within this of halfway to the projector
     [rad]."""
 
+    @property
+    def middle(self) -> float:
+        """Middle of the range: the standoff where nothing else is asked for [m]."""
+        return (self.range[0] + self.range[1]) / 2
+
+    @property
+    def depth(self) -> float:
+        """Length of the range [m]."""
+        return self.range[1] - self.range[0]
+
+    def usual_depth(self, depths: np.ndarray) -> float | None:
+        """Median of those depths (n,) that are in range, of all finite ones if none is; None for none."""
+        depths = depths[np.isfinite(depths)]
+        within = depths[(depths >= self.range[0]) & (depths <= self.range[1])]
+        some = within if len(within) else depths
+        return float(np.median(some)) if len(some) else None
+
     def field(self, depth: float | np.ndarray) -> tuple[float | np.ndarray, float | np.ndarray]:
         """Sides (l, w) of the field of view at `depth` [m]: l = 2 d tan(15 deg), w = 2 d tan(10.5 deg)."""
         return 2.0 * depth * np.tan(self.fov[0] / 2), 2.0 * depth * np.tan(self.fov[1] / 2)

@@ -7,6 +7,9 @@ import numpy as np
 from scanmotion.core.errors import InputError
 from scanmotion.core.whole_file import write_whole
 
+_FAR = 200.0
+"""Beyond so many times their extent from the origin, coordinates are written in double precision."""
+
 
 def write_ply(
     path: Path, points: np.ndarray, *, normals: np.ndarray | None = None, colors: np.ndarray | None = None,
@@ -22,7 +25,7 @@ def ply_data(
     points: np.ndarray, *, normals: np.ndarray | None = None, colors: np.ndarray | None = None,
     quality: np.ndarray | None = None, triangles: np.ndarray | None = None, double: bool = False,
 ) -> bytes:  # fmt: skip
-    """A binary little-endian PLY, in the unit of `points`.
+    """A binary little-endian PLY, in the unit of `points`; in single precision where that loses no surface.
 
     Args:
         points: shape (n, 3).
@@ -32,7 +35,10 @@ def ply_data(
         triangles: indices of points, shape (t, 3).
         double: whether points are written in double precision.
     """
-    fields = [(axis, "f8" if double else "f4") for axis in "xyz"]
+    # Far from the origin (UTM) single precision would lose the surface.
+    far = len(points) and np.abs(points).max() > _FAR * max(float(np.ptp(points, axis=0).max()), 1e-300)
+    place = "f8" if far or double else "f4"
+    fields = [("x", place), ("y", place), ("z", place)]
     fields += [("nx", "f4"), ("ny", "f4"), ("nz", "f4")] if normals is not None else []
     fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")] if colors is not None else []
     fields += [("quality", "f4")] if quality is not None else []

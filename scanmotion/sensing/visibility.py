@@ -12,6 +12,8 @@ from scanmotion.geometry.jit import njit, prange
 _SKIN = 2e-4
 """Shadow rays start this far off the surface [m]."""
 _CHUNK = 400_000
+SURFACE = 0
+"""Open3D's number of the surface in a scene's raycaster; table and pedestal come after it."""
 GUESSED = 0.005
 """A guessed surface does not hide points closer behind it than this [m]."""
 
@@ -195,6 +197,23 @@ def _unblocked(
     projector = camera[where] + scanner.baseline * X_OS[pose[where], :3, 0]
     ok[where] = free_lines(scene, points[where], projector)
     return ok
+
+
+def axis_depths(scene: Scene, X_OS: np.ndarray) -> np.ndarray:
+    """Distance along the optical axis of poses (n, 4, 4) to the surface, measured or guessed, shape (n,) [m].
+
+    Infinite where the axis meets the table or the pedestal first, or nothing.
+    """
+    X_OS = np.asarray(X_OS, dtype=float).reshape(-1, 4, 4)
+    rays = np.concatenate([X_OS[:, :3, 3], X_OS[:, :3, 2]], axis=1).astype(np.float32)
+    hits = scene.raycaster.cast_rays(rays)
+    depth = hits["t_hit"].numpy().astype(float)
+    surface = hits["geometry_ids"].numpy() == SURFACE
+    if scene.guess is not None:
+        guess = scene.guess.cast_rays(rays)["t_hit"].numpy().astype(float)
+        surface |= guess < depth
+        depth = np.minimum(depth, guess)
+    return np.where(surface, depth, np.inf)
 
 
 def sees(
