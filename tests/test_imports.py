@@ -75,13 +75,14 @@ def test_the_convenience_is_inside_save():
 
 
 def test_the_judge_knows_nothing_of_the_planner():
-    """Core, readers of geometry files, and the schema and the reader of a plan's folder."""
+    """Core, readers of geometry files, the cell's settings, and the schema and reader of a plan's folder."""
     todo, seen = {"judge"} | {n for n in MODULES if n.startswith("judge.")}, set()
     while todo:
         name = todo.pop()
         seen.add(name)
         todo |= INNER[name] - seen - {""}
-    rooms = {name for name in seen if not name.startswith(("judge", "core", "geometry"))}
+    settings = {n for n in seen if n.startswith("cell.") and n.endswith(("settings", "presets"))}
+    rooms = {name for name in seen if not name.startswith(("judge", "core", "geometry"))} - settings
     assert rooms <= {"plan_io", "plan_io.schema", "plan_io.read", "plan_io.files"}, rooms
 
 
