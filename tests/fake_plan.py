@@ -10,7 +10,7 @@ from scanmotion.core.viewpoint import Viewpoint, look_at
 from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.plan import Plan
-from scanmotion.planning.segment import reach_at, segment_from_operations
+from scanmotion.planning.segment import segment_from_operations, served_at
 from scanmotion.sensing.holes.find import Hole, HoleReport
 
 
@@ -116,7 +116,7 @@ def fake_plan(cell):
     turn = segment_from_operations(piece(trajectory, 0, 1), by_id, step="global", floor=12.0)
     dwell = segment_from_operations(piece(trajectory, 2, 3), by_id, step="local", floor=0.0)
     why = "out of reach: 3.1 m <b>"
-    lost = (*dwell.reaches, reach_at(views[2], np.zeros((0, 7))))
+    lost = (*dwell.reaches, served_at(views[2], np.zeros((0, 7))))
     segments = (
         replace(turn, seen=sides.copy()),
         replace(dwell, seen=sides | top, reaches=lost, unreachable=(("L2.1", why),)),

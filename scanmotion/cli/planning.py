@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 AGAIN = "Planning again"
 TWIN = "The scan twin"
 FEW = 3
+MOTIONS = ("stops", "continuous")
 STRATEGIES = ("two-step", "cad-slicing", "surface-partitioning")
 
 
@@ -72,6 +73,21 @@ def plan(
             "twin sees as much and seconds are saved.",
         ),
     ] = False,
+    motion: Annotated[
+        str,
+        typer.Option(
+            "--motion",
+            help="stops: turns and stops, each from rest to rest. continuous: arm and table move at once, "
+            "the scanner always on, chosen on the part's mesh; with --budget, as much as can be seen in it.",
+        ),
+    ] = "stops",
+    completeness: Annotated[
+        float | None,
+        typer.Option(
+            "--completeness",
+            help="With --motion continuous: this share of what can be seen, 0..1, in the least seconds.",
+        ),
+    ] = None,
     keep: Annotated[
         Path | None,
         typer.Option(
@@ -144,6 +160,7 @@ def plan(
     """
     check_mode(mode)
     check_known("--strategy", strategy, STRATEGIES)
+    check_known("--motion", motion, MOTIONS)
     check_out_folder(out)
     only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
     subject = answer = None
@@ -157,7 +174,11 @@ def plan(
         settings = with_budget(cell_from(robot, cell), budget)
         subject, source = part_and_source(part, box, scan, units=units, up=up, place=place)
         words = {"source": source, "mode": mode, "strategy": strategy, "seed": seed}
-        options = replace(options, thorough=thorough, tidy=tidy, **words)
+        fill = budget is not None and completeness is None
+        options = replace(
+            options, thorough=thorough, tidy=tidy, motion=motion, completeness=completeness, fill=fill,
+            **words,
+        )  # fmt: skip
         request = New(part=subject, settings=settings, options=options)
     with progress_bar(quiet=quiet or json) as progress:
         made = request.planned(progress)
@@ -297,6 +318,7 @@ def summary_rows(summary: "Summary") -> list[tuple[str, ...]]:
     return [
         ("viewpoints", f"{views.global_} global, {views.local} local, {len(views.unreachable)} left out"),
         ("completeness, of what can be seen", _share(done.final)),
+        *sure_rows(summary),
         ("after the global step", _share(done.after_global)),
         *reach_rows(summary.within_reach),
         ("of the whole surface", _share(done.final_of_whole)),
@@ -308,6 +330,7 @@ def summary_rows(summary: "Summary") -> list[tuple[str, ...]]:
         ),
         ("of which [s]", split),
         *([("helix", summary.helix.note)] if summary.helix is not None else []),
+        *([("motion", summary.motion.note)] if summary.motion is not None else []),
         ("checks", counted(len(summary.findings))),
         ("planned in", f"{summary.planning_s['total']:.1f} s"),
     ]
@@ -319,6 +342,11 @@ def _share(value: float | None) -> str:
 
 def _mm(value: float | None) -> str:
     return "not known" if value is None else f"{value:.3f} mm"
+
+
+def sure_rows(summary: "Summary") -> list[tuple[str, ...]]:
+    """Line of the final table on how sure the prediction is, where that is known."""
+    return [] if summary.confidence is None else [("how sure", summary.confidence.statement)]
 
 
 def reach_rows(found: "WithinReach") -> list[tuple[str, ...]]:

@@ -193,6 +193,19 @@ class DrakeSummary(Open):
     findings: Count
 
 
+class ConfidenceSummary(Open):
+    """How sure predicted coverage and accuracy are."""
+
+    statement: str
+
+
+class MotionSummary(Open):
+    """What came of the continuous motion."""
+
+    note: str
+    curve: list[CurveSummary] = []
+
+
 class Summary(Open):
     """summary.json."""
 
@@ -202,12 +215,14 @@ class Summary(Open):
     rounds: list[RoundSummary]
     searched: list[RoundSummary] = []
     unscanned: list[PatchSummary] = []
+    confidence: ConfidenceSummary | None = None
     accuracy: AccuracySummary
     calibration: CalibrationSummary | None = None
     registration: list[RegistrationSummary] = []
     time_s: TimeSummary
     budget: BudgetSummary
     helix: HelixSummary | None = None
+    motion: MotionSummary | None = None
     drake: DrakeSummary | None = None
     findings: list[str | dict[str, JsonValue]]
     planning_s: dict[str, Real]

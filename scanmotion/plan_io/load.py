@@ -25,7 +25,7 @@ from scanmotion.plan_io.scan_record import read_arrays, read_cloud, read_holes
 from scanmotion.plan_io.schema import PlanRecord, ViewpointRecord
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.plan import Plan
-from scanmotion.planning.segment import Segment, reach_at, segment_from_operations
+from scanmotion.planning.segment import Segment, segment_from_operations, served_at
 from scanmotion.views.unscanned import Patch
 
 __all__ = ["load_plan"]
@@ -167,7 +167,7 @@ def _with_viewpoints(
         replace(
             s,
             reaches=tuple(
-                known.get(v, reach_at(view, np.zeros((0, 7)))) for v, view in views.items() if place[v] == n
+                known.get(v, served_at(view, np.zeros((0, 7)))) for v, view in views.items() if place[v] == n
             ),
             unreachable=tuple((v, reasons[v]) for v in views if place[v] == n and v in reasons),
         )

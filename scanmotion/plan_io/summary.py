@@ -62,12 +62,14 @@ def summary_from(plan: Plan, findings: Sequence[Finding]) -> Summary:
             )
             for p in plan.unscanned
         ],
+        **({} if plan.confidence is None else {"confidence": plan.confidence.record()}),
         "accuracy": _accuracy(plan),
         "calibration": calibration_record(plan.corrections),
         "registration": registration_records(plan.corrections),
         "time_s": TimeSummary(**{k: round(v, 3) for k, v in plan.time_s().items()}),
         "budget": budget_from(plan),
         **({} if plan.joining is None else {"helix": _helix(plan.joining)}),
+        **({} if plan.motion is None else {"motion": dict(plan.motion)}),
         **({} if plan.last_word is None else {"drake": _drake(plan.last_word)}),
         "findings": [str(f) for f in findings],
         "planning_s": {k: round(v, 2) for k, v in plan.planning_s.items()},

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from pydantic import JsonValue
 
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.last_word import LastWord
@@ -13,6 +14,7 @@ from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.summary import Summary
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint
+from scanmotion.planning.confidence import Confidence
 from scanmotion.planning.helices import Joining
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.segment import Segment
@@ -22,6 +24,9 @@ from scanmotion.sensing.fusion.fuse import Cloud
 from scanmotion.sensing.holes.find import HoleReport
 from scanmotion.sensing.simulator.simulate import Scan
 from scanmotion.views.unscanned import Patch
+
+_WORK = {"revolution": "table", "helix": "table", "path": "table", "sweep": "sweep", "dwell": "dwell"}
+"""What each kind of scanning operation counts as in `time_s`."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -41,6 +46,8 @@ class Plan:
     samples: SurfaceSamples | None
     visible: np.ndarray | None
     """Which samples any allowed scanner pose can see, shape (n,)."""
+    confidence: Confidence | None = None
+    """Intervals of predicted coverage and accuracy; None where the simulator knows no truth."""
     searched: tuple[Segment, ...] = ()
     """The segments as they were found, where pruning has made others of them since."""
     out_of_reach: np.ndarray | None = None
@@ -56,6 +63,8 @@ class Plan:
     """Calibration and registration, where there were any."""
     joining: Joining | None = None
     """What came of joining turns, where that was allowed."""
+    motion: Mapping[str, JsonValue] | None = None
+    """The continuous motion, as the summary tells it; None for stops."""
     last_word: LastWord | None = None
     """What Drake says of the whole motion; None where nothing moves."""
     summary: Summary | None = None
@@ -113,7 +122,7 @@ class Plan:
         split = {"arm": 0.0, "table": 0.0, "sweep": 0.0, "dwell": 0.0}
         for o in self.trajectory.operations if self.trajectory is not None else ():
             arm_moves = np.abs(o.q_end[:6] - o.q_start[:6]).max() > 1e-9
-            key = {"revolution": "table", "helix": "table", "sweep": "sweep", "dwell": "dwell"}.get(o.kind)
+            key = _WORK.get(o.kind)
             split[key or ("arm" if arm_moves else "table")] += o.t_end - o.t_start
         total = self.trajectory.duration if self.trajectory is not None else 0.0
         floor = sum(r.tour.floor for r in self.segments)

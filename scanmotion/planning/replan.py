@@ -18,7 +18,7 @@ from scanmotion.planning.context import Context, context_from
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.pipeline import plan_from
 from scanmotion.planning.plan import Plan
-from scanmotion.planning.segment import Progress, Segment, reach_at, segment_from_operations, silent
+from scanmotion.planning.segment import Progress, Segment, segment_from_operations, served_at, silent
 from scanmotion.planning.state import PlanState, begin, extend, with_segment
 
 __all__ = ["replan"]
@@ -152,6 +152,6 @@ def _with_lost(segment: Segment, lost: Sequence[Viewpoint], reasons: dict[str, s
     """The segment with viewpoints that nothing serves, each with its reason."""
     return replace(
         segment,
-        reaches=segment.reaches + tuple(reach_at(v, np.zeros((0, 7))) for v in lost),
+        reaches=segment.reaches + tuple(served_at(v, np.zeros((0, 7))) for v in lost),
         unreachable=segment.unreachable + tuple((v.id, reasons[v.id]) for v in lost),
     )

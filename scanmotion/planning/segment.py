@@ -178,6 +178,15 @@ def _dear(cell: Cell, tour: Tour, trajectory: Trajectory, worth: Mapping[str, fl
     return dear
 
 
+def served_at(viewpoint: Viewpoint, q: np.ndarray) -> Reach:
+    """A viewpoint with what is known of its configurations, shape (k, 7)."""
+    k = len(q)
+    return Reach(
+        viewpoint=viewpoint, q=q, clearance=np.zeros(k), manipulability=np.zeros(k),
+        X_OS=np.tile(viewpoint.X_OS, (k, 1, 1)),
+    )  # fmt: skip
+
+
 def renamed(viewpoints: Sequence[Viewpoint], prefix: str) -> tuple[Viewpoint, ...]:
     """The same viewpoints with `prefix` before their ids and sweeps, so that rounds do not collide."""
     return tuple(replace(v, id=prefix + v.id, sweep=prefix + v.sweep if v.sweep else "") for v in viewpoints)
@@ -204,16 +213,8 @@ def segment_from_operations(
     tour = Tour(
         start_q=trajectory.q[0], stops=tuple(stops), seconds=trajectory.duration, floor=floor
     )  # fmt: skip
+    reaches = tuple(served_at(views[v], q[None]) for v, q in served.items())
     return Segment(
-        step=step, reaches=tuple(reach_at(views[v], q[None]) for v, q in served.items()), tour=tour, paths=(),
+        step=step, reaches=reaches, tour=tour, paths=(),
         trajectory=trajectory, unreachable=(), seen=np.zeros(0, bool),
-    )  # fmt: skip
-
-
-def reach_at(viewpoint: Viewpoint, q: np.ndarray) -> Reach:
-    """A viewpoint with what is known of its configurations, shape (k, 7) [rad]."""
-    k = len(q)
-    return Reach(
-        viewpoint=viewpoint, q=q, clearance=np.zeros(k), manipulability=np.zeros(k),
-        X_OS=np.tile(viewpoint.X_OS, (k, 1, 1)),
     )  # fmt: skip

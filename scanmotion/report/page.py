@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from scanmotion import __version__
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.core.errors import InputError
-from scanmotion.core.summary import BudgetSummary, Summary
+from scanmotion.core.summary import BudgetSummary, MotionSummary, Summary
 from scanmotion.planning.plan import Plan
 from scanmotion.report.figures.charts import curve_figure, joint_figure, tcp_figure, time_figure
 from scanmotion.report.figures.maps import cell_figure, coverage_figure, hole_figure, reach_figure
@@ -154,8 +154,13 @@ def _numbers(summary: Summary) -> str:
         ("viewpoints", f"{summary.viewpoints.global_} global, {summary.viewpoints.local} local"),
         ("left out", f"{left_out}"),
     ]
+    if summary.confidence is not None:
+        sure = summary.confidence.statement
+        rows.insert(1, ("how sure, under the uncertainty stated in the settings", sure))
     if summary.helix is not None:
         rows.append(("turns of the global step", summary.helix.note))
+    if summary.motion is not None:
+        rows += _motion_rows(summary.motion)
     if done.final is None:
         return table((), rows)
     if reach.scanned is not None:
@@ -166,6 +171,13 @@ def _numbers(summary: Summary) -> str:
         '<p class="note">Completeness and accuracy are predicted by simulating the scanner with the noise '
         "stated in the settings below; the object itself has not been measured.</p>"
     )
+
+
+def _motion_rows(motion: MotionSummary) -> list[tuple[str, str]]:
+    """What came of the continuous motion, and what other ones that were found take and see."""
+    curve = ", ".join(f"{p.completeness:.2%} in {p.seconds:.1f} s" for p in motion.curve)
+    rows = [("motion", motion.note)]
+    return rows + ([("completeness against seconds", curve)] if len(motion.curve) > 1 else [])
 
 
 def _coverage(plan: Plan, summary: Summary) -> str:
