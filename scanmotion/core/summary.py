@@ -193,6 +193,23 @@ class DrakeSummary(Open):
     findings: Count
 
 
+class ReadSummary(Open):
+    """What was read from the part's file, and what was changed."""
+
+    file: str
+    format: str
+    points: Count
+    triangles: Count
+    size_mm: Triple
+    units: str
+    units_from: str
+    columns: list[str]
+    bodies: Count
+    specks: Count
+    changes: list[str]
+    warnings: list[str]
+
+
 class ConfidenceSummary(Open):
     """How sure predicted coverage and accuracy are."""
 
@@ -226,6 +243,7 @@ class Summary(Open):
     drake: DrakeSummary | None = None
     findings: list[str | dict[str, JsonValue]]
     planning_s: dict[str, Real]
+    read: ReadSummary | None = None
 
     @property
     def passes(self) -> bool:

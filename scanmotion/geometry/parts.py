@@ -135,7 +135,7 @@ def check_fits(part: Part, table_radius: float, max_height: float) -> None:
 
 def carving() -> Part:
     """The built-in part: a carving of 600 x 330 x 200 mm, made by models/parts/carving.py."""
-    return replace(part_from_file(models_dir() / "parts" / "carving.ply"), name="carving")
+    return replace(part_from_file(models_dir() / "parts" / "carving.ply"), name="carving", report=None)
 
 
 def models_dir() -> Path:

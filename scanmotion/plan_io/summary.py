@@ -71,6 +71,7 @@ def summary_from(plan: Plan, findings: Sequence[Finding]) -> Summary:
         **({} if plan.joining is None else {"helix": _helix(plan.joining)}),
         **({} if plan.motion is None else {"motion": dict(plan.motion)}),
         **({} if plan.last_word is None else {"drake": _drake(plan.last_word)}),
+        **({} if plan.part.report is None else {"read": plan.part.report.record()}),
         "findings": [str(f) for f in findings],
         "planning_s": {k: round(v, 2) for k, v in plan.planning_s.items()},
     }  # fmt: skip

@@ -68,6 +68,7 @@ def report_html(plan: Plan) -> str:
         _motion(plan, summary),
         _budget(summary.budget),
         _findings(summary),
+        _read(summary),
         _settings(plan, summary),
     ]
     body = "\n".join(s for s in sections if s)
@@ -310,6 +311,21 @@ def _findings(summary: Summary) -> str:
         return _section("Findings of the independent judge", '<p class="ok">None.</p>')
     items = "".join(f"<li>{escape(line)}</li>" for line in summary.finding_lines)
     return _section("Findings of the independent judge", f'<ul class="bad">{items}</ul>')
+
+
+def _read(summary: Summary) -> str:
+    """What was read from the part's file, and what was changed; nothing for a box or the built-in part."""
+    read = summary.read
+    if read is None:
+        return ""
+    size = " x ".join(f"{side:.4g}" for side in read.size_mm)
+    what = f"{read.triangles} triangles" if read.triangles else f"{read.points} points"
+    rows = [("file", f"{read.file}, {read.format}"), ("holds", f"{what}, {size} mm")]
+    rows.append(("unit", f"{read.units}, {read.units_from}"))
+    rows.append(("bodies", f"{read.bodies}; {read.specks} specks were left out"))
+    rows += [("taken", text) for text in read.columns]
+    rows += [("changed", text) for text in read.changes] + [("note", text) for text in read.warnings]
+    return _section("What was read", table((), rows))
 
 
 def _settings(plan: Plan, summary: Summary) -> str:
