@@ -83,7 +83,7 @@ def plan(
 
 
 def _own_views(
-    part: Part,
+    part: Any,
     settings: CellSettings,
     viewpoints: Sequence[Viewpoint],
     order: str,
