@@ -14,6 +14,7 @@ from scanmotion.cell.error_settings import (
     Settings,
     Side,
     TwinSettings,
+    UncertaintySettings,
 )
 from scanmotion.cell.programme_settings import ProgrammeSettings
 from scanmotion.cell.scanner_presets import with_scanner_preset
@@ -162,6 +163,7 @@ class CellSettings(Settings):
     process: ProcessSettings = ProcessSettings.model_validate({})
     twin: TwinSettings = TwinSettings.model_validate({})
     calibration: CalibrationSettings = CalibrationSettings.model_validate({})
+    uncertainty: UncertaintySettings = UncertaintySettings.model_validate({})
     programme: ProgrammeSettings = ProgrammeSettings.model_validate({})
 
     folder: str = Field("", exclude=True, description="where the YAML lies; model paths are relative to it")

@@ -5,7 +5,7 @@ from scanmotion.cli.arms import reach
 from scanmotion.cli.cells import cell_app
 from scanmotion.cli.comparing import compare
 from scanmotion.cli.fusing import fuse
-from scanmotion.cli.geometry import holes, viewpoints
+from scanmotion.cli.geometry import holes, inspect, viewpoints
 from scanmotion.cli.looking import export, show, verify
 from scanmotion.cli.loop.accepting import acceptance
 from scanmotion.cli.loop.assessing import assess
@@ -23,6 +23,7 @@ for _command, _panel, _example in (
     (show, "Plan", "scanmotion show out"),
     (export, "Plan", "scanmotion export out --to krl"),
     (compare, "Plan", "scanmotion compare --variants two-step,cad-slicing --seeds 3 --out table.md"),
+    (inspect, "One stage alone", "scanmotion inspect statue.stl --picture statue.png"),
     (holes, "One stage alone", "scanmotion holes scan.ply --out holes.json"),
     (viewpoints, "One stage alone", "scanmotion viewpoints --box 330 200 600 --out viewpoints.csv"),
     (reach, "One stage alone", "scanmotion reach --robot kr240 --box 330 200 600"),

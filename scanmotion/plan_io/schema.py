@@ -71,7 +71,7 @@ class OperationRecord(_Record):
     """One operation of the trajectory."""
 
     index: int = Field(ge=0)
-    kind: Literal["transit", "revolution", "sweep", "dwell", "helix"]
+    kind: Literal["transit", "revolution", "sweep", "dwell", "helix", "path"]
     viewpoints: tuple[str, ...]
     t_start: float = Field(ge=0)
     t_end: float = Field(ge=0)

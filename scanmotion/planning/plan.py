@@ -29,6 +29,7 @@ from scanmotion.plan_io.measured import (
 )
 from scanmotion.plan_io.schema import PlanRecord, atomic_folder, csv_text, json_text, trajectory_json
 from scanmotion.planning.budget import budget_record, coverage_of
+from scanmotion.planning.confidence import Confidence
 from scanmotion.planning.helices import MOST_LOST, Joining
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.segment import Segment
@@ -39,6 +40,9 @@ from scanmotion.sensing.fusion.surface import surface
 from scanmotion.sensing.holes.find import HoleReport
 from scanmotion.sensing.simulator.simulate import Scan
 from scanmotion.views.unscanned import Patch
+
+_WORK = {"revolution": "table", "helix": "table", "path": "table", "sweep": "sweep", "dwell": "dwell"}
+"""What each kind of scanning operation counts as in `time_s`."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,6 +62,8 @@ class Plan:
     samples: SurfaceSamples | None
     visible: np.ndarray | None
     """Which samples any allowed scanner pose can see, shape (n,)."""
+    confidence: Confidence | None = None
+    """Intervals of predicted coverage and accuracy; None where the simulator knows no truth."""
     searched: tuple[Segment, ...] = ()
     """The segments as they were found, where pruning has made others of them since."""
     out_of_reach: np.ndarray | None = None
@@ -73,6 +79,8 @@ class Plan:
     """Calibration and registration, where there were any."""
     joining: Joining | None = None
     """What came of joining turns, where that was allowed."""
+    motion: Mapping[str, Any] | None = None
+    """The continuous motion, as the summary tells it; None for stops."""
     last_word: LastWord | None = None
     """What Drake says of the whole motion; None where nothing moves."""
 
@@ -142,7 +150,7 @@ class Plan:
         split = {"arm": 0.0, "table": 0.0, "sweep": 0.0, "dwell": 0.0}
         for o in self.trajectory.operations if self.trajectory is not None else ():
             arm_moves = np.abs(o.q_end[:6] - o.q_start[:6]).max() > 1e-9
-            key = {"revolution": "table", "helix": "table", "sweep": "sweep", "dwell": "dwell"}.get(o.kind)
+            key = _WORK.get(o.kind)
             split[key or ("arm" if arm_moves else "table")] += o.t_end - o.t_start
         total = self.trajectory.duration if self.trajectory is not None else 0.0
         floor = sum(r.tour.floor for r in self.segments)
@@ -190,15 +198,18 @@ class Plan:
                 }
                 for p in self.unscanned
             ],
+            **({} if self.confidence is None else {"confidence": self.confidence.record()}),
             "accuracy": self.accuracies(),
             "calibration": calibration_record(self.corrections),
             "registration": registration_records(self.corrections),
             "time_s": {k: round(v, 3) for k, v in time_s.items()},
             "budget": self.budget(),
             **({} if self.joining is None else {"helix": joining_record(self.joining)}),
+            **({} if self.motion is None else {"motion": dict(self.motion)}),
             "findings": [str(f) for f in self.findings],
             **({} if self.last_word is None else {"drake": drake_record(self.last_word)}),
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
+            **({} if self.part.report is None else {"read": self.part.report.record()}),
         }
         # What is told in memory is what stands on disk: plain numbers, no numpy scalars.
         return json.loads(json_text(told))

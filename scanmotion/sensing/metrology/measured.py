@@ -6,8 +6,11 @@ import numpy as np
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
+from scanmotion.geometry.mending.mend_cloud import measured_points, with_checked_normals
+from scanmotion.geometry.mending.mend_mesh import mended
 from scanmotion.geometry.part_files import read_geometry
-from scanmotion.geometry.parts import UNITS, repaired, surface_samples
+from scanmotion.geometry.parts import surface_samples
+from scanmotion.geometry.placing import UNITS
 from scanmotion.sensing.holes.boundary import oriented_normals
 
 _SAMPLES = 300_000
@@ -28,10 +31,11 @@ def reference_part(path: Path, units: str) -> Part:
             name=path.stem, vertices=raw.vertices * scale, triangles=np.zeros((0, 3), int),
             normals=_unit(raw.normals), closed=False,
         )  # fmt: skip
-    vertices, triangles, repairs, closed = repaired(raw.vertices, raw.triangles, str(path))
+    made = mended(raw.vertices, raw.triangles, step=raw.step, path=str(path))
     return Part(
-        name=path.stem, vertices=vertices * scale, triangles=triangles, closed=closed, repairs=tuple(repairs)
-    )
+        name=path.stem, vertices=made.vertices * scale, triangles=made.triangles, closed=made.closed,
+        repairs=(*made.changes, *made.warnings),
+    )  # fmt: skip
 
 
 def measured_cloud(path: Path, units: str) -> tuple[np.ndarray, np.ndarray]:
@@ -43,13 +47,13 @@ def measured_cloud(path: Path, units: str) -> tuple[np.ndarray, np.ndarray]:
     """
     raw = read_geometry(path)
     scale = _scale(units)
-    _check(raw.vertices, path)
     if len(raw.triangles):
+        _check(raw.vertices, path)
         part = Part(name=path.stem, vertices=raw.vertices * scale, triangles=raw.triangles)
         samples = surface_samples(part, _SAMPLES, rng=np.random.default_rng(0))
         return samples.points, samples.normals
-    points = raw.vertices * scale
-    normals = _unit(raw.normals)
+    made = with_checked_normals(measured_points(raw.vertices, raw.normals, str(path)))
+    points, normals = made.points * scale, made.normals
     return points, oriented_normals(points) if normals is None else normals
 
 
