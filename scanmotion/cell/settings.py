@@ -295,6 +295,21 @@ def settings_from(data: dict[str, Any], *, folder: str = "") -> CellSettings:
         raise CellError(_message(first, key, data), key=key) from None
 
 
+def cell_settings_from(source: Any) -> CellSettings:
+    """Settings of a cell, whatever names it: settings, a built-in name, a YAML file, or a mapping as in one.
+
+    Raises:
+        CellError: not one of these, or as load_cell.
+    """
+    if isinstance(source, CellSettings):
+        return source
+    if isinstance(source, str | Path):
+        return load_cell(source)
+    if isinstance(source, dict):
+        return settings_from(source)
+    raise CellError(f"a {type(source).__name__} is no cell; known: settings, a name, a YAML file, a mapping")
+
+
 def _message(first: Any, key: str, data: dict) -> str:
     kind, context = first["type"], first.get("ctx") or {}
     if kind == "extra_forbidden":
