@@ -83,7 +83,7 @@ def plan(
 
 
 def _own_views(
-    part: Any,
+    part: Part,
     settings: CellSettings,
     viewpoints: Sequence[Viewpoint],
     order: str,
