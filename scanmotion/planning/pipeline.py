@@ -11,6 +11,7 @@ import numpy as np
 
 from scanmotion.cell.settings import CellSettings
 from scanmotion.core.part import Part
+from scanmotion.core.trajectory import Trajectory
 from scanmotion.motion.reach.find import reachable_mask
 from scanmotion.planning.context import Context, context_from
 from scanmotion.planning.local_rounds import local_rounds
@@ -19,6 +20,7 @@ from scanmotion.planning.plan import Plan
 from scanmotion.planning.prune import prune
 from scanmotion.planning.segment import Progress, silent
 from scanmotion.planning.state import PlanState, begin, extend, visible_from
+from scanmotion.planning.way_home import way_home
 from scanmotion.sensing.fusion.fuse import Cloud, fuse
 from scanmotion.views.unscanned import Patch
 
@@ -102,6 +104,11 @@ def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, s
         left_out: further viewpoints that are not planned: (id, reason).
     """
     found = diagnose(ctx, state)
+    home: Trajectory | None = None
+    note = ""
+    if state.trajectory is not None:
+        with ctx.watch("motion"):
+            home, note = way_home(ctx.cell, ctx.clearance, state.trajectory.q[-1], rng=ctx.rng(90))
     return Plan(
         part=ctx.part, cell=ctx.cell, options=ctx.options, segments=state.segments, searched=state.searched,
         trajectory=state.trajectory, cloud=found.cloud, holes=state.holes,
@@ -110,4 +117,5 @@ def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, s
         dropped=(*state.dropped, *left_out), unscanned=found.unscanned,
         scans=state.scans if ctx.options.keep_scans else (),
         corrections=state.corrections, joining=state.joining, planning_s=ctx.watch.seconds(),
+        way_home=home, no_way_home=note,
     )  # fmt: skip

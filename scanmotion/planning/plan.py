@@ -15,7 +15,7 @@ from scanmotion import __version__
 from scanmotion.cell.build import Cell
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part, SurfaceSamples
-from scanmotion.core.trajectory import Trajectory
+from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.judge import Finding, verify
 from scanmotion.plan_io.frames import frame_files
@@ -49,7 +49,7 @@ class Plan:
     options: PlanOptions
     segments: tuple[Segment, ...]
     trajectory: Trajectory | None
-    """None where nothing could be planned."""
+    """Of the scan; None where nothing could be planned."""
     cloud: Cloud | None
     """The fused scan: simulated, or the measured one."""
     holes: HoleReport | None
@@ -72,6 +72,10 @@ class Plan:
     """Calibration and registration, where there were any."""
     joining: Joining | None = None
     """What came of joining turns, where that was allowed."""
+    way_home: Trajectory | None = None
+    """From the end of the scan back to where it starts; None where it ends there, or no way was found."""
+    no_way_home: str = ""
+    """Why there is no way home."""
 
     @property
     def viewpoints(self) -> tuple[Viewpoint, ...]:
@@ -87,6 +91,13 @@ class Plan:
     def seen(self) -> np.ndarray | None:
         """Which samples the whole plan sees, shape (n,)."""
         return self.segments[-1].seen if self.samples is not None and self.segments else None
+
+    @property
+    def cycle(self) -> Trajectory | None:
+        """The scan and the way home: what is written, judged, exported and driven."""
+        if self.trajectory is None or self.way_home is None:
+            return self.trajectory
+        return joined(self.trajectory, self.way_home)
 
     def completeness(self) -> dict[str, float | None]:
         """Shares after the global step and at the end, of what can be seen; and of the whole surface."""
@@ -135,7 +146,7 @@ class Plan:
         return found
 
     def time_s(self) -> dict[str, float]:
-        """Seconds in total, by kind of work, and the proven floor."""
+        """Seconds of the scan in total and by kind of work, its proven floor, and the cycle with the way home."""
         split = {"arm": 0.0, "table": 0.0, "sweep": 0.0, "dwell": 0.0}
         for o in self.trajectory.operations if self.trajectory is not None else ():
             arm_moves = np.abs(o.q_end[:6] - o.q_start[:6]).max() > 1e-9
@@ -143,7 +154,8 @@ class Plan:
             split[key or ("arm" if arm_moves else "table")] += o.t_end - o.t_start
         total = self.trajectory.duration if self.trajectory is not None else 0.0
         floor = sum(r.tour.floor for r in self.segments)
-        return {k: float(v) for k, v in {"total": total, **split, "floor": floor}.items()}
+        cycle = total + (self.way_home.duration if self.way_home is not None else 0.0)
+        return {k: float(v) for k, v in {"total": total, **split, "floor": floor, "cycle": cycle}.items()}
 
     def budget(self) -> dict[str, Any]:
         """The budget, what uses it up, and what a shorter programme would see."""
@@ -192,6 +204,7 @@ class Plan:
             "time_s": {k: round(v, 3) for k, v in time_s.items()},
             "budget": self.budget(),
             **({} if self.joining is None else {"helix": joining_record(self.joining)}),
+            **({"no_way_home": self.no_way_home} if self.no_way_home else {}),
             "findings": [str(f) for f in self.findings],
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
         }
@@ -252,12 +265,12 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
     if plan.trajectory is None:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in plan.unreachable[:3])
         raise InputError(f"nothing could be planned: {reasons}")
-    solid = plan.cell.part
-    assert solid is not None
+    solid, cycle = plan.cell.part, plan.cycle
+    assert solid is not None and cycle is not None
     return {
         "plan.json": json_text(plan.record()),
-        "trajectory.csv": csv_text(plan.trajectory),
-        "trajectory.json": trajectory_json(plan.trajectory, plan.cell.joint_names),
+        "trajectory.csv": csv_text(cycle),
+        "trajectory.json": trajectory_json(cycle, plan.cell.joint_names),
         "robot.urdf": plan.cell.robot.record,
         **plan.cell.robot.meshes,
         "part.ply": ply_bytes(solid.vertices, solid.triangles),
@@ -317,8 +330,8 @@ def ply_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
 def plan_record(plan: Plan) -> PlanRecord:
     """The plan in the schema of plan.json."""
     cell, process = plan.cell, plan.cell.settings.process
-    frames = {7: "flange", 8: "table", 9: "world"}
-    assert plan.trajectory is not None
+    frames, cycle = {7: "flange", 8: "table", 9: "world"}, plan.cycle
+    assert cycle is not None
 
     def finite(values: np.ndarray) -> list[float | None]:
         return [float(v) if np.isfinite(v) else None for v in values]
@@ -359,7 +372,7 @@ def plan_record(plan: Plan) -> PlanRecord:
                     "t_start": round(o.t_start, 6), "t_end": round(o.t_end, 6),
                     "q_start": o.q_start.tolist(), "q_end": o.q_end.tolist(),
                 }
-                for o in plan.trajectory.operations
+                for o in cycle.operations
             ],
         }
     )  # fmt: skip
