@@ -5,12 +5,13 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 OUT ?= demo
 
-.PHONY: help demo test test-all lint bench models env clean syscheck
+.PHONY: help demo test test-all lint docs bench models env clean syscheck
 
 help:
 	@echo "make demo      plan a scan of the built-in carving into $(OUT)/"
 	@echo "make test      the test suite        make test-all  with the slow tests"
 	@echo "make lint      ruff and pyright      make bench     the benchmarks"
+	@echo "make docs      the site of the documents"
 
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || \
@@ -40,6 +41,10 @@ lint: env
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+docs: env
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
+	@echo "docs:   docs/_build/index.html"
 
 bench: env
 	@for b in benchmarks/*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done

@@ -8,11 +8,17 @@ from fcl_check import FclCell
 from test_clearance import trough
 
 from scanmotion.cell.build import build_cell
+from scanmotion.cell.collision import clearance
 from scanmotion.cell.collision.last_word import DrakeJudge
+from scanmotion.cell.collision.sphere_filter import filter_from
+from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.settings import settings_from
+from scanmotion.cli.planning import passes
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint, look_at
+from scanmotion.geometry.parts import box_part
 from scanmotion.motion.reach.find import ReachOptions, reach
+from scanmotion.planning.pipeline import PlanOptions, plan
 
 
 def moved(q: np.ndarray, step_s: float = 0.01) -> Trajectory:
@@ -148,3 +154,25 @@ def test_an_obstacle_that_the_plan_does_not_know(cell, judge):
     other = build_cell(settings, replace(trough(), name="part"))
     found = DrakeJudge(other).judge(moved(q)).findings
     assert found and found[0].code == "collision"
+
+
+def test_a_plan_whose_filter_is_blind_to_an_obstacle_fails_its_check(monkeypatch):
+    """The obstacle stands in the scanner's way; Drake's word is in the findings, and the exit status is 1."""
+    part, options = box_part(0.2, 0.15, 0.2), PlanOptions(source="box")
+    free = plan(part, settings_from({}), options=options)
+    assert free.last_word is not None and free.last_word.findings == () and free.last_word.checked > 100
+    assert free.trajectory is not None
+    p = scanner_poses(free.cell, free.trajectory.q)[:, :3, 3]
+    way = np.linalg.norm(p - p[0], axis=1)
+    at = p[int(np.argmin(np.abs(way - way.max() / 2)))]
+    box = {"name": "post", "centre_m": [float(x) for x in at], "size_m": [0.1] * 3, "yaw_deg": 0.0}
+
+    def blind(cell, *args, **kwargs):
+        seen = replace(cell, bodies=tuple(b for b in cell.bodies if b.name != "post"))
+        return filter_from(seen, *args, **kwargs)
+
+    monkeypatch.setattr(clearance, "filter_from", blind)
+    planned = plan(part, settings_from({"obstacles": [box]}), options=options)
+    assert planned.last_word is not None and planned.last_word.findings
+    assert any("Drake" in str(f) for f in planned.findings)
+    assert planned.summary["drake"]["findings"] > 0 and not passes(planned.summary)

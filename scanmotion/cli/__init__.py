@@ -8,6 +8,7 @@ from scanmotion.cli.fusing import fuse
 from scanmotion.cli.geometry import holes, viewpoints
 from scanmotion.cli.looking import export, show, verify
 from scanmotion.cli.planning import plan
+from scanmotion.cli.running import run
 from scanmotion.cli.studying import layout, study_app
 
 __all__ = ["app", "main"]
@@ -17,6 +18,7 @@ for _command, _panel, _example in (
     (verify, "Plan", "scanmotion verify out"),
     (show, "Plan", "scanmotion show out"),
     (export, "Plan", "scanmotion export out --to krl"),
+    (run, "Plan", "scanmotion run out --controller sim"),
     (compare, "Plan", "scanmotion compare --variants two-step,cad-slicing --seeds 3 --out table.md"),
     (holes, "One stage alone", "scanmotion holes scan.ply --out holes.json"),
     (viewpoints, "One stage alone", "scanmotion viewpoints --box 330 200 600 --out viewpoints.csv"),

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from scanmotion.cell.collision.last_word import last_word
 from scanmotion.cell.settings import CellSettings
 from scanmotion.core.part import Part
-from scanmotion.core.trajectory import Trajectory
+from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.motion.reach.find import reachable_mask
 from scanmotion.planning.context import Context, context_from
 from scanmotion.planning.local_rounds import local_rounds
@@ -105,10 +106,14 @@ def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, s
     """
     found = diagnose(ctx, state)
     home: Trajectory | None = None
-    note = ""
+    note, word = "", None
     if state.trajectory is not None:
         with ctx.watch("motion"):
             home, note = way_home(ctx.cell, ctx.clearance, state.trajectory.q[-1], rng=ctx.rng(90))
+        with ctx.watch("last word"):
+            ctx.progress("last word", 0.0)
+            cycle = state.trajectory if home is None else joined(state.trajectory, home)
+            word = last_word(ctx.cell, cycle)
     return Plan(
         part=ctx.part, cell=ctx.cell, options=ctx.options, segments=state.segments, searched=state.searched,
         trajectory=state.trajectory, cloud=found.cloud, holes=state.holes,
@@ -116,6 +121,6 @@ def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, s
         visible=found.visible, out_of_reach=found.out_of_reach,
         dropped=(*state.dropped, *left_out), unscanned=found.unscanned,
         scans=state.scans if ctx.options.keep_scans else (),
-        corrections=state.corrections, joining=state.joining, planning_s=ctx.watch.seconds(),
-        way_home=home, no_way_home=note,
+        corrections=state.corrections, joining=state.joining, last_word=word,
+        planning_s=ctx.watch.seconds(), way_home=home, no_way_home=note,
     )  # fmt: skip

@@ -13,6 +13,7 @@ import numpy as np
 
 from scanmotion import __version__
 from scanmotion.cell.build import Cell
+from scanmotion.cell.collision.last_word import LastWord
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.trajectory import Trajectory, joined
@@ -76,6 +77,8 @@ class Plan:
     """From the end of the scan back to where it starts; None where it ends there, or no way was found."""
     no_way_home: str = ""
     """Why there is no way home."""
+    last_word: LastWord | None = None
+    """What Drake says of the whole motion; None where nothing moves."""
 
     @property
     def viewpoints(self) -> tuple[Viewpoint, ...]:
@@ -146,7 +149,7 @@ class Plan:
         return found
 
     def time_s(self) -> dict[str, float]:
-        """Seconds of the scan in total and by kind of work, its proven floor, and the cycle with the way home."""
+        """Seconds of the scan in total and by kind of work, its floor, and of the cycle with the way home."""
         split = {"arm": 0.0, "table": 0.0, "sweep": 0.0, "dwell": 0.0}
         for o in self.trajectory.operations if self.trajectory is not None else ():
             arm_moves = np.abs(o.q_end[:6] - o.q_start[:6]).max() > 1e-9
@@ -171,9 +174,10 @@ class Plan:
 
     @functools.cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """What the judge finds in the plan's files, which are written for it to a place of their own."""
+        """What Drake finds in the motion, and the judge in the files, which are written for him elsewhere."""
+        told = self.last_word.findings if self.last_word is not None else ()
         with tempfile.TemporaryDirectory() as work:
-            return tuple(verify(atomic_folder(Path(work) / "plan", plan_files(self))))
+            return (*told, *verify(atomic_folder(Path(work) / "plan", plan_files(self))))
 
     @functools.cached_property
     def summary(self) -> dict[str, Any]:
@@ -206,6 +210,7 @@ class Plan:
             **({} if self.joining is None else {"helix": joining_record(self.joining)}),
             **({"no_way_home": self.no_way_home} if self.no_way_home else {}),
             "findings": [str(f) for f in self.findings],
+            **({} if self.last_word is None else {"drake": drake_record(self.last_word)}),
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
         }
         # What is told in memory is what stands on disk: plain numbers, no numpy scalars.
@@ -246,6 +251,16 @@ class Plan:
             files |= scan_files(self.cloud, self.surface, self.part, self.scans)
         atomic_folder(folder, {**files, **(extras or {})})
         return list(self.findings)
+
+
+def drake_record(word: LastWord) -> dict[str, Any]:
+    """`drake` of summary.json: how much of the motion was checked, and how."""
+    return {
+        "checked": word.checked,
+        "way_m": round(word.way_m, 3),
+        "by_triangles": word.by_triangles,
+        "findings": len(word.findings),
+    }
 
 
 def joining_record(joining: Joining) -> dict[str, Any]:

@@ -103,12 +103,13 @@ class SlackPlant:
         """
         ik, start = self._program(asked, distance), self.positions(seed)
         ik.prog().AddQuadraticErrorCost(np.eye(len(start)), start, ik.q())
-        return self._solved(ik, start, 60)
+        result = self._result(ik, start, 60)
+        return self.configuration(result.GetSolution(ik.q())) if result.is_success() else None
 
-    def refined(
-        self, asked: "AskedPose", seed: np.ndarray, distance: float, cost: "Cost"
-    ) -> np.ndarray | None:
-        """The configuration near `seed` within the slack that costs least, or None where SNOPT finds none.
+    def refined(self, asked: "AskedPose", seed: np.ndarray, distance: float, cost: "Cost") -> np.ndarray:
+        """The configuration near `seed` within the slack that costs least, as far as SNOPT comes.
+
+        It may pass a constraint by a little: the caller checks it.
 
         Args:
             asked: the pose and what it may give way in.
@@ -125,7 +126,7 @@ class SlackPlant:
             return AutoDiffXd(value, slope @ ExtractGradient(positions)[order])
 
         ik.prog().AddCost(evaluated, ik.q())
-        return self._solved(ik, self.positions(seed), 30)
+        return self.configuration(self._result(ik, self.positions(seed), 30).GetSolution(ik.q()))
 
     def least_distance(self, q: np.ndarray, most: float = 0.5) -> float:
         """Least distance of all pairs that are judged in one configuration (7,), at most `most` [m]."""
@@ -153,12 +154,11 @@ class SlackPlant:
         ik.AddMinimumDistanceLowerBoundConstraint(distance, 0.05)
         return ik
 
-    def _solved(self, ik: Any, start: np.ndarray, iterations: int) -> np.ndarray | None:
-        """SNOPT's answer, or None; it stops by work done, not by time."""
+    def _result(self, ik: Any, start: np.ndarray, iterations: int) -> Any:
+        """SNOPT's answer; it stops by work done, not by time."""
         solver, options = SnoptSolver(), SolverOptions()
         options.SetOption(solver.solver_id(), "Major iterations limit", iterations)
-        result = solver.Solve(ik.prog(), start, options)
-        return self.configuration(result.GetSolution(ik.q())) if result.is_success() else None
+        return solver.Solve(ik.prog(), start, options)
 
     @property
     def order(self) -> np.ndarray:

@@ -37,7 +37,8 @@ _TRIES = 3
 _FEW_CHECKS = 1500
 _SHORTCUTS = 60
 _ROOM_RAD = 0.8
-_EXACT_STEP_M = 0.008
+_EXACT_STEP_M = 0.002
+"""As fine as the last word's: what is free here keeps its clearance less 1 mm in between [m]."""
 _BEYOND_SCANNER_M = 0.3
 """What of scanner and arm lies further from an axis than the scanner's origin does [m]."""
 _EDGE_S = 3.0
