@@ -55,7 +55,7 @@ def run(
             typer.echo(line)
         state = "came to its end" if found.executed.ended else f"broken off: {found.executed.reason}"
         typer.echo(
-            f"{file.name} {state}; {found.log.t[-1]:.2f} s, {frames} frames, {found.executed.completed} steps "
-            f"done, joints within {found.lag_deg:.3f} deg of what was commanded"
+            f"{file.name} {state}; {found.log.t[-1]:.2f} s, {frames} frames, "
+            f"{found.executed.completed} steps done, joints within {found.lag_deg:.3f} deg of the command"
         )
     return OK if found.executed.ended else CHECK_FAILED

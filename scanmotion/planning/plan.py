@@ -74,9 +74,8 @@ class Plan:
     joining: Joining | None = None
     """What came of joining turns, where that was allowed."""
     way_home: Trajectory | None = None
-    """From the end of the scan back to where it starts; None where it ends there, or no way was found."""
+    """From the end of the scan back to its start; None where it ends there, or `no_way_home` says why."""
     no_way_home: str = ""
-    """Why there is no way home."""
     last_word: LastWord | None = None
     """What Drake says of the whole motion; None where nothing moves."""
 
@@ -98,9 +97,8 @@ class Plan:
     @property
     def cycle(self) -> Trajectory | None:
         """The scan and the way home: what is written, judged, exported and driven."""
-        if self.trajectory is None or self.way_home is None:
-            return self.trajectory
-        return joined(self.trajectory, self.way_home)
+        scan, home = self.trajectory, self.way_home
+        return scan if scan is None or home is None else joined(scan, home)
 
     def completeness(self) -> dict[str, float | None]:
         """Shares after the global step and at the end, of what can be seen; and of the whole surface."""
@@ -157,8 +155,8 @@ class Plan:
             split[key or ("arm" if arm_moves else "table")] += o.t_end - o.t_start
         total = self.trajectory.duration if self.trajectory is not None else 0.0
         floor = sum(r.tour.floor for r in self.segments)
-        cycle = total + (self.way_home.duration if self.way_home is not None else 0.0)
-        return {k: float(v) for k, v in {"total": total, **split, "floor": floor, "cycle": cycle}.items()}
+        found = {"total": total, **split, "floor": floor, "cycle": self.cycle.duration if self.cycle else 0.0}
+        return {k: float(v) for k, v in found.items()}
 
     def budget(self) -> dict[str, Any]:
         """The budget, what uses it up, and what a shorter programme would see."""
