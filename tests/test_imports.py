@@ -18,8 +18,7 @@ LAYERS = (
     {"planning"},
     {"plan_io"},
     {"judge", "export", "report"},
-    {"studies"},
-    {"controller"},
+    {"studies", "job", "controller"},
     {"cli", "viewpoints"},
     {"__main__"},
 )

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from scanmotion.cell.collision.shapes import fcl_object
 from scanmotion.cell.kinematics import branches
@@ -75,7 +76,8 @@ def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
     robot = robot_of(settings)
     table = settings.turntable
     X_WB = pose(settings.base.position_m, np.deg2rad(settings.base.yaw_deg))
-    X_WT = pose((*table.position_m, table.height_m))
+    known = settings.calibration
+    X_WT = _shifted(pose((*table.position_m, table.height_m)), (*known.axis_mm, 0.0), (*known.axis_deg, 0.0))
     limits = _limits(settings, robot)
     frame: dict[str, Any] = dict(
         settings=settings, part=part, robot=robot, X_WB=X_WB, X_FS=tool_pose(settings), X_WT=X_WT,
@@ -152,7 +154,19 @@ def tool_pose(settings: CellSettings) -> np.ndarray:
     roll = np.array([[np.cos(r), -np.sin(r), 0], [np.sin(r), np.cos(r), 0], [0, 0, 1]])
     X_FS[:3, :3] = tilt @ roll
     X_FS[:3, 3] = (tool.offset_m, 0.0, tool.arm_m)
-    return X_FS
+    return _shifted(X_FS, settings.calibration.hand_eye_mm, settings.calibration.hand_eye_deg)
+
+
+def _shifted(X: np.ndarray, by_mm: tuple[float, ...], turn_deg: tuple[float, ...]) -> np.ndarray:
+    """The pose moved along and turned about its own axes by what calibration found; untouched where it is
+    nothing.
+    """
+    if not any((*by_mm, *turn_deg)):
+        return X
+    D = np.eye(4)
+    D[:3, :3] = Rotation.from_rotvec(np.deg2rad(turn_deg)).as_matrix()
+    D[:3, 3] = np.array(by_mm) * 1e-3
+    return X @ D
 
 
 def _limits(settings: CellSettings, robot: Robot) -> dict[str, np.ndarray]:

@@ -35,7 +35,7 @@ def reach(
     cell: CellFile = None,
     box: Box = None,
     part: PartFile = None,
-    units: Units = "mm",
+    units: Units = "",
     up: Up = "+z",
     views: Annotated[
         Path | None,

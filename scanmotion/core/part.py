@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scanmotion.core.read_report import ReadReport
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Part:
@@ -22,6 +24,8 @@ class Part:
     """Whether a mesh is watertight (a cloud never is)."""
     repairs: tuple[str, ...] = ()
     """What was mended while loading, one sentence each."""
+    report: ReadReport | None = None
+    """What was read from which file; None for a part made in memory."""
 
     def __post_init__(self) -> None:
         for name in ("vertices", "triangles", "normals", "X_OI"):

@@ -36,7 +36,8 @@ class Viewpoint:
     X_OS: np.ndarray
     """Pose of S in O, shape (4, 4)."""
     standoff: float
-    """Distance along +z of S to the aimed surface [m]."""
+    """Distance along +z of S to the aimed surface, as far as that is known when the viewpoint is chosen; of a
+    turn the median over those of its angles at which it is inside the scanner's range [m]."""
     step: Step
     kind: Kind
     sweep: str = ""

@@ -106,7 +106,7 @@ def check_viewpoints(record: PlanRecord, trajectory: Trajectory, motion: Motion)
                 findings.append(
                     Finding(code="viewpoint", message=text, where=name, value=off, t=float(o.t_start))
                 )
-            elif o.kind in ("sweep", "helix") and k < last:
+            elif o.kind in ("sweep", "helix", "path") and k < last:
                 text = f"{name} is passed out of order in operation {o.index}"
                 findings.append(Finding(code="order", message=text, where=name, t=float(o.t_start)))
             last = max(last, k)

@@ -14,7 +14,9 @@ from scanmotion.cell.settings import CellSettings
 from scanmotion.core.part import Part
 from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.motion.reach.find import reachable_mask
-from scanmotion.planning.context import Context, context_from
+from scanmotion.planning.confidence import Confidence, Prediction, Uncertainty, confidence
+from scanmotion.planning.context import Context, Simulator, context_from
+from scanmotion.planning.continuous import NO_MOTION, continuous_step
 from scanmotion.planning.local_rounds import local_rounds
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.plan import Plan
@@ -22,10 +24,15 @@ from scanmotion.planning.prune import prune
 from scanmotion.planning.segment import Progress, silent
 from scanmotion.planning.state import PlanState, begin, extend, visible_from
 from scanmotion.planning.way_home import way_home
+from scanmotion.sensing.assess import accuracy
 from scanmotion.sensing.fusion.fuse import Cloud, fuse
+from scanmotion.sensing.simulator.captures import joined_captures
 from scanmotion.views.unscanned import Patch
 
 __all__ = ["PlanOptions", "plan"]
+
+_ACCURACY_POINTS = 20_000
+"""Of the cloud, by which the interval of the accuracy is centred."""
 
 
 def plan(
@@ -45,6 +52,11 @@ def plan(
     """
     ctx = context_from(part, settings, options or PlanOptions(), progress)
     state = begin(ctx)
+    if ctx.options.motion == "continuous":
+        moving = continuous_step(ctx, state)
+        if moving is not None:
+            return plan_from(ctx, moving)
+        state = replace(state, motion=NO_MOTION)
     if ctx.measured is None:
         state = global_step(ctx, state)
     if ctx.method.takes_local_step and state.cloud is not None:
@@ -96,6 +108,30 @@ def diagnose(ctx: Context, state: PlanState) -> Diagnosis:
     return Diagnosis(cloud=cloud, visible=can_be_seen, out_of_reach=out_of_reach, unscanned=unscanned)
 
 
+def confidence_of(ctx: Context, simulator: Simulator, state: PlanState, found: Diagnosis) -> Confidence:
+    """Intervals of what the programme is predicted to see and how exactly.
+
+    Args:
+        ctx: what planning reads.
+        simulator: knows the true surface.
+        state: of the whole programme, with its trajectory.
+        found: at its end.
+    """
+    assert found.cloud is not None and found.visible is not None
+    some = accuracy(found.cloud.points[:: max(1, len(found.cloud) // _ACCURACY_POINTS)], ctx.part)
+    it = Prediction(
+        scene=simulator.scene, scanner=ctx.scanner,
+        captures=joined_captures([s.captures for s in state.scans]),
+        samples=simulator.samples, seen=state.seen, visible=found.visible,
+        noise=(some.mean_abs, some.mean_signed),
+    )  # fmt: skip
+    unknown = Uncertainty(**ctx.settings.uncertainty.si())
+    errors = simulator.errors
+    if state.corrections is not None and state.corrections.applied:
+        errors = errors.without_constants()
+    return confidence(it, errors, unknown, seed=ctx.options.seed)
+
+
 def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, str]] = ()) -> Plan:
     """All that was found, in one value.
 
@@ -114,13 +150,19 @@ def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, s
             ctx.progress("last word", 0.0)
             cycle = state.trajectory if home is None else joined(state.trajectory, home)
             word = last_word(ctx.cell, cycle)
+    sure = None
+    if ctx.simulator is not None and state.trajectory is not None and found.cloud is not None:
+        with ctx.watch("confidence"):
+            ctx.progress("confidence", 0.0)
+            sure = confidence_of(ctx, ctx.simulator, state, found)
     return Plan(
-        part=ctx.part, cell=ctx.cell, options=ctx.options, segments=state.segments, searched=state.searched,
+        confidence=sure, part=ctx.part,
+        cell=ctx.cell, options=ctx.options, segments=state.segments, searched=state.searched,
         trajectory=state.trajectory, cloud=found.cloud, holes=state.holes,
         samples=None if ctx.simulator is None else ctx.simulator.samples,
         visible=found.visible, out_of_reach=found.out_of_reach,
         dropped=(*state.dropped, *left_out), unscanned=found.unscanned,
         scans=state.scans if ctx.options.keep_scans else (),
-        corrections=state.corrections, joining=state.joining, last_word=word,
+        corrections=state.corrections, joining=state.joining, motion=state.motion, last_word=word,
         planning_s=ctx.watch.seconds(), way_home=home, no_way_home=note,
     )  # fmt: skip

@@ -1,7 +1,6 @@
 """Plan: all that planning found, its summary, and its folder on disk."""
 
 import functools
-import io
 import json
 import tempfile
 from collections.abc import Mapping
@@ -29,8 +28,10 @@ from scanmotion.plan_io.measured import (
 )
 from scanmotion.plan_io.schema import PlanRecord, atomic_folder, csv_text, json_text, trajectory_json
 from scanmotion.planning.budget import budget_record, coverage_of
+from scanmotion.planning.confidence import Confidence
 from scanmotion.planning.helices import MOST_LOST, Joining
 from scanmotion.planning.options import PlanOptions
+from scanmotion.planning.plan_arrays import arrays_data, hole_records
 from scanmotion.planning.segment import Segment
 from scanmotion.sensing.assess import Accuracy, accuracy
 from scanmotion.sensing.corrections import Corrections
@@ -39,6 +40,9 @@ from scanmotion.sensing.fusion.surface import surface
 from scanmotion.sensing.holes.find import HoleReport
 from scanmotion.sensing.simulator.simulate import Scan
 from scanmotion.views.unscanned import Patch
+
+_WORK = {"revolution": "table", "helix": "table", "path": "table", "sweep": "sweep", "dwell": "dwell"}
+"""What each kind of scanning operation counts as in `time_s`."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,6 +62,8 @@ class Plan:
     samples: SurfaceSamples | None
     visible: np.ndarray | None
     """Which samples any allowed scanner pose can see, shape (n,)."""
+    confidence: Confidence | None = None
+    """Intervals of predicted coverage and accuracy; None where the simulator knows no truth."""
     searched: tuple[Segment, ...] = ()
     """The segments as they were found, where pruning has made others of them since."""
     out_of_reach: np.ndarray | None = None
@@ -76,6 +82,8 @@ class Plan:
     way_home: Trajectory | None = None
     """From the end of the scan back to its start; None where it ends there, or `no_way_home` says why."""
     no_way_home: str = ""
+    motion: Mapping[str, Any] | None = None
+    """The continuous motion, as the summary tells it; None for stops."""
     last_word: LastWord | None = None
     """What Drake says of the whole motion; None where nothing moves."""
 
@@ -151,7 +159,7 @@ class Plan:
         split = {"arm": 0.0, "table": 0.0, "sweep": 0.0, "dwell": 0.0}
         for o in self.trajectory.operations if self.trajectory is not None else ():
             arm_moves = np.abs(o.q_end[:6] - o.q_start[:6]).max() > 1e-9
-            key = {"revolution": "table", "helix": "table", "sweep": "sweep", "dwell": "dwell"}.get(o.kind)
+            key = _WORK.get(o.kind)
             split[key or ("arm" if arm_moves else "table")] += o.t_end - o.t_start
         total = self.trajectory.duration if self.trajectory is not None else 0.0
         floor = sum(r.tour.floor for r in self.segments)
@@ -200,6 +208,7 @@ class Plan:
                 }
                 for p in self.unscanned
             ],
+            **({} if self.confidence is None else {"confidence": self.confidence.record()}),
             "accuracy": self.accuracies(),
             "calibration": calibration_record(self.corrections),
             "registration": registration_records(self.corrections),
@@ -207,9 +216,11 @@ class Plan:
             "budget": self.budget(),
             **({} if self.joining is None else {"helix": joining_record(self.joining)}),
             **({"no_way_home": self.no_way_home} if self.no_way_home else {}),
+            **({} if self.motion is None else {"motion": dict(self.motion)}),
             "findings": [str(f) for f in self.findings],
             **({} if self.last_word is None else {"drake": drake_record(self.last_word)}),
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
+            **({} if self.part.report is None else {"read": self.part.report.record()}),
         }
         # What is told in memory is what stands on disk: plain numbers, no numpy scalars.
         return json.loads(json_text(told))
@@ -288,44 +299,12 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
         **plan.cell.robot.meshes,
         "part.ply": ply_bytes(solid.vertices, solid.triangles),
         "cell.json": plan.cell.settings.model_dump_json(indent=1) + "\n",
-        "holes.json": json_text({"units": "m", "holes": _hole_records(plan)}),
-        "scan.npz": _arrays(plan),
+        "holes.json": json_text({"units": "m", "holes": hole_records(plan.holes)}),
+        "scan.npz": arrays_data(
+            plan.cloud, plan.samples, plan.visible, [item.seen for item in plan.segments]
+        ),
         **frame_files(plan.trajectory, plan.viewpoints, plan.cell),
     }
-
-
-def _hole_records(plan: Plan) -> list[dict[str, Any]]:
-    """The holes of the first scan, in metres in O."""
-    return [
-        {
-            "kind": h.kind, "boundary": np.round(h.boundary, 6).tolist(), "center": h.center.tolist(),
-            "normal": h.normal.tolist(), "X_OH": h.X_OH.tolist(), "extent": h.extent.tolist(),
-            "perimeter": h.perimeter, "area": h.area,
-        }
-        for h in (plan.holes.holes if plan.holes is not None else ())
-    ]  # fmt: skip
-
-
-def _arrays(plan: Plan) -> bytes:
-    """What pictures need: the fused cloud, and which surface samples were seen when."""
-    arrays: dict[str, np.ndarray] = {}
-    if plan.cloud is not None:
-        arrays |= {
-            "cloud": plan.cloud.points.astype(np.float32),
-            "normals": plan.cloud.normals.astype(np.float32),
-        }
-    if plan.samples is not None and plan.visible is not None:
-        arrays |= {
-            "samples": plan.samples.points.astype(np.float32),
-            "sample_normals": plan.samples.normals.astype(np.float32),
-            "visible": plan.visible,
-            "seen": np.stack([item.seen for item in plan.segments])
-            if plan.segments
-            else np.zeros((0, 0), bool),
-        }
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **arrays)
-    return buffer.getvalue()
 
 
 def ply_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:

@@ -7,6 +7,7 @@ import numpy as np
 
 from scanmotion.cell.ik.opw import opw_arm
 from scanmotion.cell.ik.parallel import parallel_arm
+from scanmotion.cell.ik.turned_opw import turned_arm
 from scanmotion.cell.robot import Robot, Solved
 
 
@@ -16,7 +17,7 @@ def solver_of(robot: Robot) -> Callable[[np.ndarray], Solved]:
 
     What is returned takes flange poses in the base, shape (n, 4, 4).
     """
-    arm = opw_arm(robot) or parallel_arm(robot)
+    arm = opw_arm(robot) or parallel_arm(robot) or turned_arm(robot)
     if arm is not None:
         return arm
     from scanmotion.cell.ik.numeric import NumericArm
