@@ -19,7 +19,7 @@ LAYERS = (
     {"planning"},
     {"plan_io"},
     {"judge", "export", "report"},
-    {"studies", "job"},
+    {"studies", "job", "controller"},
     {"cli", "viewpoints"},
     {"__main__"},
 )
@@ -27,7 +27,7 @@ LAYERS = (
 RANK = {room: rank for rank, layer in enumerate(LAYERS) for room in layer}
 CONVENIENCE = {("planning.plan", "plan_io"), ("planning.plan", "plan_io.save"), ("planning.plan", "judge")}
 """`Plan.save`, for users: the one place where a lower room calls a higher one, inside of that function."""
-PYDRAKE = {"cell", "motion/transit", "motion/timing", "report/scene.py"}
+PYDRAKE = {"cell", "motion/transit", "motion/timing", "report/scene.py", "controller/plant.py"}
 STAGES = {"reach": "find", "order": "sequence", "transit": "plan", "timing": "operations"}
 
 

@@ -126,6 +126,7 @@ class TimeSummary(Open):
     sweep: Real
     dwell: Real
     floor: Real
+    cycle: Real = 0.0
 
 
 class CostSummary(Open):
@@ -239,6 +240,7 @@ class Summary(Open):
     time_s: TimeSummary
     budget: BudgetSummary
     helix: HelixSummary | None = None
+    no_way_home: str = ""
     motion: MotionSummary | None = None
     drake: DrakeSummary | None = None
     findings: list[str | dict[str, JsonValue]]

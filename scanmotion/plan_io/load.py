@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import JsonValue
 
-from scanmotion.cell.build import build_cell
+from scanmotion.cell.build import Cell, build_cell
 from scanmotion.cell.settings import settings_from
-from scanmotion.core.errors import PlanFileError, ScanMotionError
+from scanmotion.core.errors import InputError, PlanFileError, ScanMotionError
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.summary import RoundSummary, Summary
 from scanmotion.core.tour import Tour
@@ -31,6 +31,25 @@ from scanmotion.views.unscanned import Patch
 __all__ = ["load_plan"]
 
 
+def cell_of(folder: Path, record: PlanRecord) -> tuple[Part, Cell]:
+    """The part and the cell of a plan's folder.
+
+    Raises:
+        PlanFileError: a file is missing or not what it says.
+    """
+    try:
+        settings = settings_from(_mapping(folder, record.cell_file), folder=str(folder))
+        if settings.robot.model.endswith(".urdf"):
+            own = settings.robot.model_copy(update={"model": record.urdf_file})
+            settings = settings.model_copy(update={"robot": own})
+        solid = _part(folder, record)
+        return solid, build_cell(settings, solid)
+    except PlanFileError:
+        raise
+    except ScanMotionError as error:
+        raise PlanFileError(f"{folder}: {error}") from None
+
+
 def load_plan(folder: str | Path) -> Plan:
     """Reads a plan folder.
 
@@ -42,19 +61,9 @@ def load_plan(folder: str | Path) -> Plan:
     """
     folder = Path(folder)
     record, summary = read_plan(folder), read_summary(folder)
-    trajectory = read_trajectory(folder, record)
-    try:
-        settings = settings_from(_mapping(folder, record.cell_file), folder=str(folder))
-        if settings.robot.model.endswith(".urdf"):
-            own = settings.robot.model_copy(update={"model": record.urdf_file})
-            settings = settings.model_copy(update={"robot": own})
-        solid = _part(folder, record)
-        cell = build_cell(settings, solid)
-        options = _options(record)
-    except PlanFileError:
-        raise
-    except ScanMotionError as error:
-        raise PlanFileError(f"{folder}: {error}") from None
+    trajectory, way_home = _without_way_home(read_trajectory(folder, record))
+    solid, cell = cell_of(folder, record)
+    options = _options(record)
     rounds = summary.rounds or [RoundSummary(step="global", viewpoints=0, completeness=None)]
     arrays = read_arrays(folder, len(rounds))
     segments = _segments(record, trajectory, rounds, summary.time_s.floor)
@@ -67,10 +76,21 @@ def load_plan(folder: str | Path) -> Plan:
     known = {v.id for v in record.viewpoints}
     return Plan(
         part=solid, cell=cell, options=options, segments=tuple(segments), trajectory=trajectory,
+        way_home=way_home,
         cloud=read_cloud(folder), holes=read_holes(folder), samples=samples, visible=arrays.get("visible"),
         dropped=tuple((u.id, u.reason) for u in summary.viewpoints.unreachable if u.id not in known),
         unscanned=_unscanned(summary), planning_s=dict(summary.planning_s), summary=summary,
     )  # fmt: skip
+
+
+def _without_way_home(cycle: Trajectory) -> tuple[Trajectory, Trajectory | None]:
+    """The scan, and the transit that leads to no viewpoint behind it, where there is one."""
+    last = len(cycle.operations) - 1
+    if last < 1 or cycle.operations[last].kind != "transit" or cycle.operations[last].viewpoints:
+        return cycle, None
+    if not (cycle.operation == last).any() or not (cycle.operation < last).any():
+        return cycle, None
+    return piece(cycle, 0, last - 1), piece(cycle, last, last)
 
 
 def _mapping(folder: Path, name: str) -> dict[str, JsonValue]:
@@ -83,7 +103,10 @@ def _mapping(folder: Path, name: str) -> dict[str, JsonValue]:
 def _options(record: PlanRecord) -> PlanOptions:
     """Those of the words that are written down; PlanOptions refuses what it does not know."""
     words = {"source": record.source, "mode": record.mode, "strategy": record.strategy}
-    return replace(PlanOptions(), seed=record.seed, **words)
+    try:
+        return replace(PlanOptions(), seed=record.seed, **words)
+    except InputError as error:
+        raise PlanFileError(f"plan.json: {error}") from None
 
 
 def _part(folder: Path, record: PlanRecord) -> Part:
@@ -104,7 +127,7 @@ def _segments(
     record: PlanRecord, trajectory: Trajectory, rounds: Sequence[RoundSummary], floor: float
 ) -> list[Segment]:
     """One segment for each round of the summary: its operations, and the viewpoints up to its last one."""
-    views = {v.id: _viewpoint(v) for v in record.viewpoints}
+    views = {v.id: viewpoint_of(v) for v in record.viewpoints}
     ends = _ends(trajectory, rounds)
     found, first = [], 0
     for item, end in zip(rounds, ends, strict=True):
@@ -175,7 +198,8 @@ def _with_viewpoints(
     ]
 
 
-def _viewpoint(v: ViewpointRecord) -> Viewpoint:
+def viewpoint_of(v: ViewpointRecord) -> Viewpoint:
+    """A viewpoint of plan.json."""
     return Viewpoint(
         id=v.id, X_OS=np.array(v.X_OS), standoff=v.standoff_m, step=v.step, kind=v.kind, sweep=v.sweep,
         slack=Slack(standoff=v.slack_standoff_m, tilt=v.slack_tilt_rad, roll=v.slack_roll), note=v.note,

@@ -69,6 +69,7 @@ def summary_from(plan: Plan, findings: Sequence[Finding]) -> Summary:
         "time_s": TimeSummary(**{k: round(v, 3) for k, v in plan.time_s().items()}),
         "budget": budget_from(plan),
         **({} if plan.joining is None else {"helix": _helix(plan.joining)}),
+        **({"no_way_home": plan.no_way_home} if plan.no_way_home else {}),
         **({} if plan.motion is None else {"motion": dict(plan.motion)}),
         **({} if plan.last_word is None else {"drake": _drake(plan.last_word)}),
         **({} if plan.part.report is None else {"read": plan.part.report.record()}),

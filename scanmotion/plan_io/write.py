@@ -24,12 +24,12 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
     if plan.trajectory is None:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in plan.unreachable[:3])
         raise InputError(f"nothing could be planned: {reasons}")
-    solid = plan.cell.part
-    assert solid is not None
+    solid, cycle = plan.cell.part, plan.cycle
+    assert solid is not None and cycle is not None
     return {
         "plan.json": json_text(plan_record(plan)),
-        "trajectory.csv": csv_text(plan.trajectory),
-        "trajectory.json": trajectory_json(plan.trajectory, plan.cell.joint_names),
+        "trajectory.csv": csv_text(cycle),
+        "trajectory.json": trajectory_json(cycle, plan.cell.joint_names),
         **frame_files(plan.trajectory, plan.viewpoints, plan.cell),
         "robot.urdf": plan.cell.robot.record,
         **plan.cell.robot.meshes,
@@ -43,8 +43,8 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
 def plan_record(plan: Plan) -> PlanRecord:
     """The plan in the schema of plan.json."""
     cell, process = plan.cell, plan.cell.settings.process
-    frames = {7: "flange", 8: "table", 9: "world"}
-    assert plan.trajectory is not None
+    frames, cycle = {7: "flange", 8: "table", 9: "world"}, plan.cycle
+    assert cycle is not None
 
     def finite(values: np.ndarray) -> list[float | None]:
         return [float(v) if np.isfinite(v) else None for v in values]
@@ -85,7 +85,7 @@ def plan_record(plan: Plan) -> PlanRecord:
                     "t_start": round(o.t_start, 6), "t_end": round(o.t_end, 6),
                     "q_start": o.q_start.tolist(), "q_end": o.q_end.tolist(),
                 }
-                for o in plan.trajectory.operations
+                for o in cycle.operations
             ],
         }
     )  # fmt: skip

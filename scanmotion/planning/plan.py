@@ -12,7 +12,7 @@ from scanmotion.cell.collision.last_word import LastWord
 from scanmotion.core.finding import Finding
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.summary import Summary
-from scanmotion.core.trajectory import Trajectory
+from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.planning.confidence import Confidence
 from scanmotion.planning.helices import Joining
@@ -38,7 +38,7 @@ class Plan:
     options: PlanOptions
     segments: tuple[Segment, ...]
     trajectory: Trajectory | None
-    """None where nothing could be planned."""
+    """Of the scan; None where nothing could be planned."""
     cloud: Cloud | None
     """The fused scan: simulated, or the measured one."""
     holes: HoleReport | None
@@ -63,6 +63,9 @@ class Plan:
     """Calibration and registration, where there were any."""
     joining: Joining | None = None
     """What came of joining turns, where that was allowed."""
+    way_home: Trajectory | None = None
+    """From the end of the scan back to its start; None where it ends there, or `no_way_home` says why."""
+    no_way_home: str = ""
     motion: Mapping[str, JsonValue] | None = None
     """The continuous motion, as the summary tells it; None for stops."""
     last_word: LastWord | None = None
@@ -91,6 +94,12 @@ class Plan:
         nothing = np.zeros(0 if self.samples is None else len(self.samples.points), bool)
         return next((item.seen for item in reversed(self.segments) if item.step == "global"), nothing)
 
+    @property
+    def cycle(self) -> Trajectory | None:
+        """The scan and the way home: what is written, judged, exported and driven."""
+        scan, home = self.trajectory, self.way_home
+        return scan if scan is None or home is None else joined(scan, home)
+
     def completeness(self) -> dict[str, float | None]:
         """Shares after the global step and at the end, of what can be seen; and of the whole surface."""
         if self.visible is None or self.seen is None:
@@ -118,7 +127,7 @@ class Plan:
         return accuracy(self.cloud.points, self.part)
 
     def time_s(self) -> dict[str, float]:
-        """Seconds in total, by kind of work, and the proven floor."""
+        """Seconds of the scan in total and by kind of work, its floor, and of the cycle with the way home."""
         split = {"arm": 0.0, "table": 0.0, "sweep": 0.0, "dwell": 0.0}
         for o in self.trajectory.operations if self.trajectory is not None else ():
             arm_moves = np.abs(o.q_end[:6] - o.q_start[:6]).max() > 1e-9
@@ -126,7 +135,8 @@ class Plan:
             split[key or ("arm" if arm_moves else "table")] += o.t_end - o.t_start
         total = self.trajectory.duration if self.trajectory is not None else 0.0
         floor = sum(r.tour.floor for r in self.segments)
-        return {k: float(v) for k, v in {"total": total, **split, "floor": floor}.items()}
+        found = {"total": total, **split, "floor": floor, "cycle": self.cycle.duration if self.cycle else 0.0}
+        return {k: float(v) for k, v in found.items()}
 
     def save(
         self,
