@@ -11,6 +11,7 @@ from scanmotion.cli.loop.accepting import acceptance
 from scanmotion.cli.loop.assessing import assess
 from scanmotion.cli.loop.calibrating import calibrate
 from scanmotion.cli.loop.jobs import job_app
+from scanmotion.cli.loop.papering import paper
 from scanmotion.cli.planning import plan
 from scanmotion.cli.studying import layout, study_app
 
@@ -21,6 +22,7 @@ for _command, _panel, _example in (
     (verify, "Plan", "scanmotion verify out"),
     (show, "Plan", "scanmotion show out"),
     (export, "Plan", "scanmotion export out --to krl"),
+    (paper, "Plan", "scanmotion paper --out paper.html"),
     (compare, "Plan", "scanmotion compare --variants two-step,cad-slicing --seeds 3 --out table.md"),
     (inspect, "One stage alone", "scanmotion inspect statue.stl --picture statue.png"),
     (holes, "One stage alone", "scanmotion holes scan.ply --out holes.json"),
