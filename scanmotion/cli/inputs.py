@@ -135,7 +135,7 @@ def part_and_source(
 def say_read(part: "Part", *, quiet: bool = False) -> None:
     """One line on stderr of what was read, where the part came from a file."""
     if part.report is not None and not quiet:
-        typer.echo(f"{Path(part.report.path).name}: {part.report.line}", err=True)
+        typer.echo(f"{part.report.file}: {part.report.line}", err=True)
 
 
 def check_out_folder(out: Path) -> None:

@@ -58,6 +58,7 @@ def report_html(plan: Any) -> str:
         _motion(plan, summary),
         _budget(summary["budget"]),
         _findings(summary),
+        _read(summary),
         _settings(plan, summary),
     ]
     body = "\n".join(s for s in sections if s)
@@ -303,6 +304,21 @@ def _findings(summary: dict[str, Any]) -> str:
     lines = (f.get("message") or json.dumps(f) if isinstance(f, dict) else str(f) for f in found)
     items = "".join(f"<li>{escape(line)}</li>" for line in lines)
     return _section("Findings of the independent judge", f'<ul class="bad">{items}</ul>')
+
+
+def _read(summary: dict[str, Any]) -> str:
+    """What was read from the part's file, and what was changed; nothing for a box or the built-in part."""
+    read = summary.get("read")
+    if read is None:
+        return ""
+    size = " x ".join(f"{float(side):.4g}" for side in read["size_mm"])
+    what = f"{read['triangles']} triangles" if read["triangles"] else f"{read['points']} points"
+    rows = [("file", f"{read['file']}, {read['format']}"), ("holds", f"{what}, {size} mm")]
+    rows.append(("unit", f"{read['units']}, {read['units_from']}"))
+    rows.append(("bodies", f"{read['bodies']}; {read['specks']} specks were left out"))
+    rows += [("taken", text) for text in read["columns"]]
+    rows += [("changed", text) for text in read["changes"]] + [("note", text) for text in read["warnings"]]
+    return _section("What was read", table((), rows))
 
 
 def _settings(plan: Any, summary: dict[str, Any]) -> str:
