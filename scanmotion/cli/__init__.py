@@ -11,8 +11,10 @@ from scanmotion.cli.loop.accepting import acceptance
 from scanmotion.cli.loop.assessing import assess
 from scanmotion.cli.loop.calibrating import calibrate
 from scanmotion.cli.loop.jobs import job_app
+from scanmotion.cli.loop.papering import paper
 from scanmotion.cli.planning import plan
 from scanmotion.cli.robots import robots_app
+from scanmotion.cli.running import run
 from scanmotion.cli.studying import layout, study_app
 
 __all__ = ["app", "main"]
@@ -22,6 +24,8 @@ for _command, _panel, _example in (
     (verify, "Plan", "scanmotion verify out"),
     (show, "Plan", "scanmotion show out"),
     (export, "Plan", "scanmotion export out --to krl"),
+    (paper, "Plan", "scanmotion paper --out paper.html"),
+    (run, "Plan", "scanmotion run out --controller sim"),
     (compare, "Plan", "scanmotion compare --variants two-step,cad-slicing --seeds 3 --out table.md"),
     (inspect, "One stage alone", "scanmotion inspect statue.stl --picture statue.png"),
     (holes, "One stage alone", "scanmotion holes scan.ply --out holes.json"),

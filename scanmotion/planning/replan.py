@@ -131,13 +131,13 @@ def _with_executed(
         last = first
         while last + 1 < len(finished) and steps[last + 1] == steps[first]:
             last += 1
-        segment = _executed(ctx, _piece(old.trajectory, first, last), views, steps[first])
+        segment = _executed(ctx, piece_of(old.trajectory, first, last), views, steps[first])
         state = with_segment(ctx, state, segment, np.random.default_rng([ctx.options.seed, first, last]))
         first = last + 1
     return state
 
 
-def _piece(whole: Trajectory, first: int, last: int) -> Trajectory:
+def piece_of(whole: Trajectory, first: int, last: int) -> Trajectory:
     """The operations first..last by themselves, from time 0."""
     rows = np.flatnonzero((whole.operation >= first) & (whole.operation <= last))
     # A shared instant belongs to the earlier operation.
