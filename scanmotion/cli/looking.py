@@ -32,13 +32,17 @@ def verify(
     if plan is not None:
         raise InputError("--plan: belongs to a programme's file, not to a plan's folder")
     from scanmotion.judge import verify as judge
+    from scanmotion.judge.left_out import not_judged
 
     with progress_bar(quiet=quiet or json):
         findings = judge(folder)
     if json:
-        say_json({"ok": not findings, "findings": [str(f) for f in findings]})
+        told = {"ok": not findings, "findings": [str(f) for f in findings]}
+        say_json(told | {"not_judged": not_judged(folder)})
     elif not quiet:
         _say_findings([str(f) for f in findings])
+        rows = [(pair["a"], pair["b"], pair["reason"]) for pair in not_judged(folder)]
+        print_table("Pairs that are not judged", ("", "", "reason"), rows)
     return CHECK_FAILED if findings else OK
 
 
