@@ -15,6 +15,7 @@ from scanmotion.cell.collision.last_word import last_word
 from scanmotion.cell.settings import CellSettings, cell_settings_from
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
+from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.geometry.part_objects import part_from
 from scanmotion.motion.order.sequence import sequence
@@ -28,6 +29,7 @@ from scanmotion.planning.plan import Plan
 from scanmotion.planning.prune import prune
 from scanmotion.planning.segment import Progress, silent
 from scanmotion.planning.state import PlanState, begin, extend, visible_from
+from scanmotion.planning.way_home import way_home
 from scanmotion.sensing.assess import accuracy
 from scanmotion.sensing.fusion.fuse import Cloud, fuse
 from scanmotion.sensing.simulator.captures import joined_captures
@@ -196,11 +198,15 @@ def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, s
         left_out: further viewpoints that are not planned: (id, reason).
     """
     found = diagnose(ctx, state)
-    word = None
+    home: Trajectory | None = None
+    note, word = "", None
     if state.trajectory is not None:
+        with ctx.watch("motion"):
+            home, note = way_home(ctx.cell, ctx.clearance, state.trajectory.q[-1], rng=ctx.rng(90))
         with ctx.watch("last word"):
             ctx.progress("last word", 0.0)
-            word = last_word(ctx.cell, state.trajectory)
+            cycle = state.trajectory if home is None else joined(state.trajectory, home)
+            word = last_word(ctx.cell, cycle)
     sure = None
     if ctx.simulator is not None and state.trajectory is not None and found.cloud is not None:
         with ctx.watch("confidence"):
@@ -215,5 +221,5 @@ def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, s
         dropped=(*state.dropped, *left_out), unscanned=found.unscanned,
         scans=state.scans if ctx.options.keep_scans else (),
         corrections=state.corrections, joining=state.joining, motion=state.motion, last_word=word,
-        planning_s=ctx.watch.seconds(),
+        planning_s=ctx.watch.seconds(), way_home=home, no_way_home=note,
     )  # fmt: skip
