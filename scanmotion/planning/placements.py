@@ -37,6 +37,8 @@ _TRIALS = 3000
 """Samples by which resting poses are compared."""
 _ROUNDS = 2
 """Choices of viewpoints in a further placement: what the first misses is sought again."""
+_NEAR_RAD = np.deg2rad(25.0)
+"""A direction that is asked to be up is met by a resting pose within this [rad]."""
 _WORTH = 0.002
 """A further placement must show this share of the ceiling that nothing else has shown."""
 
@@ -49,6 +51,8 @@ class PlacementOptions:
     """Placements at most."""
     least_tip_deg: float = 5.0
     """Poses that tip at less are not used."""
+    ups: tuple[tuple[float, float, float], ...] = ()
+    """Directions of the part that are up in the further placements, in their order; none: they are chosen."""
     forbid: tuple[tuple[float, float, float], ...] = ()
     """Directions of the part, as it is given, that must not point down within 45 deg: a fragile side."""
     stop_rad_s2: float = 10.0
@@ -111,15 +115,17 @@ def plan_placements(
     """
     options, placing = options or PlanOptions(), placing or PlacementOptions()
     if options.source != "mesh" or options.motion != "stops":
-        raise InputError("several placements are planned for a mesh, with --motion stops")
+        raise InputError("several placements are planned for a mesh (--part), with --motion stops")
     ctx = context_from(part, settings, options, progress)
     assert ctx.simulator is not None
     ceiling = _floating(part, ctx, ctx.simulator.samples)
     poses = _allowed(resting_poses(part, least_tip_rad=np.deg2rad(placing.least_tip_deg)), placing)
+    asked = [_asked(part, poses, up) for up in placing.ups]
     done = [_first(ctx, _resting_as_given(part, poses))]
     reason = f"at most {placing.most} placements were asked for"
     while len(done) < placing.most:
-        best, reason = _next_pose(ctx, poses, [d.pose for d in done], done[-1].state.seen, ceiling)
+        left = asked[len(done) - 1 : len(done)] if asked else poses
+        best, reason = _next_pose(ctx, left, [d.pose for d in done], done[-1].state.seen, ceiling)
         if best is None:
             break
         found = _further(ctx, best, done[-1].state.seen, ceiling)
@@ -184,8 +190,21 @@ def _allowed(poses: Sequence[RestingPose], placing: PlacementOptions) -> list[Re
     return [p for p in poses if all(-(p.up @ d) < np.cos(np.pi / 4) for d in down)]
 
 
+def _asked(part: Part, poses: Sequence[RestingPose], up: tuple[float, float, float]) -> RestingPose:
+    """The resting pose with a direction up.
+
+    Raises:
+        InputError: the part does not rest so; the directions in which it does are named.
+    """
+    near = [p for p in poses if p.up @ np.asarray(up) > np.cos(_NEAR_RAD)]
+    if not near:
+        known = "; ".join(p.name for p in poses) or "none"
+        raise InputError(f"{part.name} does not rest with {up} up; resting poses: {known}")
+    return max(near, key=lambda p: float(p.up @ np.asarray(up)))
+
+
 def _resting_as_given(part: Part, poses: Sequence[RestingPose]) -> RestingPose:
-    """The pose in which the part is given; where it does not rest so by itself it is held, and that is said."""
+    """The pose in which the part is given; where it does not rest so by itself, one that says so."""
     for pose in poses:
         if np.allclose(pose.R_OP, np.eye(3)):
             return pose

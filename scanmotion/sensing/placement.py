@@ -1,17 +1,18 @@
 """Where a part was really put: a few still frames registered against what is known of it.
 
-Guarantees: the pose is trusted only where its share of partners is clearly above that of every other yaw, so a
-body that looks the same from several sides is answered as not known. Assumes that the part stands as planned
-within `TILT` and `SHIFT`; its yaw may be anything.
+Guarantees: the pose is trusted only where its share of partners is clearly above that of every other yaw, so
+that a body that looks the same from several sides is answered as not known. Assumes that the part stands as
+planned within `TILT` and `SHIFT`; its yaw may be anything.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from scanmotion.sensing.fusion.fuse import Cloud
-from scanmotion.sensing.registration import align, register
+from scanmotion.sensing.registration import Registration, align, register
 
 TILT = np.deg2rad(8.0)
 """Greatest tilt off the planned pose that is sought [rad]."""
@@ -23,6 +24,10 @@ _REACH = 0.05
 """Partners of a first guess are sought this far [m]: the shift, and a tilt at the part's rim."""
 _BEST = 3
 """So many of the coarse poses are refined."""
+_ON, _BESIDE = 0.0007, 0.006
+"""On the known surface is what is no farther along its normal, and no farther from its next point [m]."""
+_LEAST = 0.4
+"""Less than this share on the known surface is no placement."""
 _CLEARLY = 1.3
 """The best pose has so many times the partners of the best other yaw, or it is not trusted."""
 _OTHER_RAD = np.deg2rad(10.0)
@@ -35,7 +40,7 @@ class MeasuredPlacement:
     X: np.ndarray
     """Takes the frames' points to where the plan expects them, shape (4, 4)."""
     fitness: float
-    """Share of the frames' points that have a partner."""
+    """Share of the frames' points that lie on the known surface."""
     other: float
     """The best share at another yaw; 0 where there is none."""
     trusted: bool
@@ -54,24 +59,44 @@ def measured_placement(frames: Cloud, known: Cloud) -> MeasuredPlacement:
         InputError: a cloud has too few points to register.
     """
     coarse = [_from_yaw(frames, known, 2 * np.pi * k / _YAWS) for k in range(_YAWS)]
-    found: list[tuple[float, np.ndarray, float, bool]] = []
-    for _, X in sorted(coarse, key=lambda item: -item[0])[:_BEST]:
-        fine = register(frames, known, start=X, reach=0.012)
-        found.append((fine.fitness, fine.X, fine.uncertainty, fine.trusted))
-    found.sort(key=lambda item: -item[0])
-    fitness, X, uncertainty, trusted = found[0]
-    shares = [(share, pose) for share, pose, _, _ in found[1:]]
-    # A coarse pose at another yaw has loose partners: it counts by its refined share.
-    away = [(s, p) for s, p in coarse if _angle(p, X) > _OTHER_RAD]
+    coarse.sort(key=lambda item: -item[0])
+    tree = cKDTree(known.points)
+    best, share = _refined(frames, known, tree, [X for _, X in coarse[:_BEST]])
+    # A pose at another yaw has loose partners before it is refined: it counts by what it has then.
+    away = [X for _, X in coarse if _angle(X, best.X) > _OTHER_RAD]
+    other = 0.0
     if away:
-        best = max(away, key=lambda item: item[0])
-        refined = register(frames, known, start=best[1], reach=0.012)
-        shares.append((refined.fitness, refined.X))
-    other = max((share for share, pose in shares if _angle(pose, X) > _OTHER_RAD), default=0.0)
-    clear = fitness >= _CLEARLY * other
+        rival, rival_share = _refined(frames, known, tree, away[:_BEST])
+        other = rival_share if _angle(rival.X, best.X) > _OTHER_RAD else 0.0
     return MeasuredPlacement(
-        X=X, fitness=fitness, other=other, trusted=bool(clear and trusted), uncertainty=uncertainty
+        X=best.X,
+        fitness=share,
+        other=other,
+        trusted=bool(share >= max(_CLEARLY * other, _LEAST) and best.trusted),
+        uncertainty=best.uncertainty,
     )
+
+
+def _refined(
+    frames: Cloud, known: Cloud, tree: cKDTree, starts: list[np.ndarray]
+) -> tuple[Registration, float]:
+    """The best registration from some starts, and its share of points that lie on the known surface."""
+    fine = [register(frames, known, start=X, reach=0.012) for X in starts]
+    shares = [_on_surface(frames, known, tree, item.X) for item in fine]
+    best = int(np.argmax(shares))
+    return fine[best], shares[best]
+
+
+def _on_surface(frames: Cloud, known: Cloud, tree: cKDTree, X: np.ndarray) -> float:
+    """Share of the frames' points that lie within `_ON` of the known surface and face as it does."""
+    points = frames.points @ X[:3, :3].T + X[:3, 3]
+    normals = frames.normals @ X[:3, :3].T
+    distance, nearest = tree.query(points, distance_upper_bound=_BESIDE)
+    hit = np.isfinite(distance)
+    normal = known.normals[nearest[hit]]
+    off = np.abs(np.einsum("ij,ij->i", points[hit] - known.points[nearest[hit]], normal))
+    faces = np.einsum("ij,ij->i", normals[hit], normal) > 0.8
+    return float((faces & (off < _ON)).sum() / max(len(points), 1))
 
 
 def _from_yaw(frames: Cloud, known: Cloud, yaw: float) -> tuple[float, np.ndarray]:
