@@ -91,6 +91,11 @@ class Plan:
         """Which samples the whole plan sees, shape (n,)."""
         return self.segments[-1].seen if self.samples is not None and self.segments else None
 
+    @property
+    def solvers(self) -> dict[str, str]:
+        """Which solver found the pose of each viewpoint that is served, by id; "" where it was given."""
+        return {v: solver for item in self.segments for v, solver in item.solvers.items()}
+
     def completeness(self) -> dict[str, float | None]:
         """Shares after the global step and at the end, of what can be seen; and of the whole surface."""
         if self.visible is None or self.seen is None:
@@ -177,6 +182,7 @@ class Plan:
                 "global": sum(v.step == "global" for v in served),
                 "local": sum(v.step == "local" for v in served),
                 "unreachable": [{"id": name, "reason": reason} for name, reason in self.unreachable],
+                "solvers": self.solvers,
             },
             "completeness": _rounded(self.completeness()),
             "within_reach": _rounded(self.within_reach()),
@@ -366,7 +372,7 @@ def plan_record(plan: Plan) -> PlanRecord:
                 for b in cell.bodies if b.link in frames
             ],
             "urdf_file": "robot.urdf", "part_file": "part.ply", "cell_file": "cell.json",
-            "viewpoints": [_view_record(v) for v in plan.viewpoints],
+            "viewpoints": [_view_record(v, plan.solvers.get(v.id, "")) for v in plan.viewpoints],
             "unreachable": [pair for item in plan.segments for pair in item.unreachable],
             "operations": [
                 {
@@ -380,9 +386,9 @@ def plan_record(plan: Plan) -> PlanRecord:
     )  # fmt: skip
 
 
-def _view_record(v: Viewpoint) -> dict[str, Any]:
+def _view_record(v: Viewpoint, solver: str) -> dict[str, Any]:
     return {
         "id": v.id, "X_OS": v.X_OS.tolist(), "standoff_m": v.standoff, "step": v.step, "kind": v.kind,
         "sweep": v.sweep, "slack_standoff_m": v.slack.standoff, "slack_tilt_rad": v.slack.tilt,
-        "slack_roll": v.slack.roll, "note": v.note,
+        "slack_roll": v.slack.roll, "note": v.note, "solver": solver,
     }  # fmt: skip

@@ -186,9 +186,13 @@ def _pruned(
     return [], []
 
 
+LOCAL_SLACK = Slack(standoff=(-0.005, 0.005), tilt=np.deg2rad(1.0), roll=False)
+"""What a local station may give way in; benchmarks/slack.py says what that costs of what is seen."""
+
+
 def _view(X_OS: np.ndarray, turns: bool, name: str, gain: float) -> Viewpoint:
     return Viewpoint(
         id=name, X_OS=X_OS, standoff=0.7 if turns else 0.55, step="local",
-        kind="revolution" if turns else "station", slack=Slack(roll=False),
+        kind="revolution" if turns else "station", slack=Slack(roll=False) if turns else LOCAL_SLACK,
         note=f"adds {gain * 1e4:.1f} cm2",
     )  # fmt: skip

@@ -5,9 +5,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from scanmotion.cell.ik.opw import opw_arm
-from scanmotion.cell.ik.parallel import parallel_arm
+from scanmotion.cell.ik.opw import OpwArm, opw_arm
+from scanmotion.cell.ik.parallel import ParallelArm, parallel_arm
 from scanmotion.cell.robot import Robot, Solved
+
+
+def has_closed_form(robot: Robot) -> bool:
+    """Whether the arm is solved in closed form, in all its branches."""
+    return isinstance(solver_of(robot), OpwArm | ParallelArm)
 
 
 @functools.lru_cache(maxsize=16)
