@@ -6,7 +6,9 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from scanmotion.cell.settings import CellSettings, ObstacleSettings
+from scanmotion.cell.scanner_presets import scanner_presets
+from scanmotion.cell.settings import CellSettings, ObstacleSettings, settings_from
+from scanmotion.geometry.parts import models_dir
 
 HEAD = """# The cell's YAML
 
@@ -28,7 +30,42 @@ obstacles:
   - {name: cabinet, centre_m: [-1.5, 0.0, 1.0], size_m: [0.5, 2.0, 2.0]}
 process: {clearance_m: 0.05, budget_s: 120}
 ```
+
+## Choosing a scanner
+
+The default is the paper's scanner (0.4 to 1 m). Another one is named:
+
+```yaml
+scanner: {model: photoneo-phoxi-l}
+turntable: {position_m: [3.0, 0.0]}
+```
+
+| preset | range m | field deg | housing mm | for |
+|---|---|---|---|---|
+PRESETS
+
+A preset gives the whole section `scanner`, the housing and its mount (`tool`), and standoff, frame rate and
+dwell (`process`). What the cell states of `tool` and `process` goes first. A key of `scanner` that says
+otherwise than the preset is refused. A turn sees the part from the least distance plus the part's radius: a
+short range leaves more to local viewpoints, which take longer; a long one needs room, the table's axis at
+least the standoff and 1.5 m from the robot. Each file in `models/scanners` says which value is from the
+maker's sheet and which is not. A scanner of your own is the section `scanner` with your values, and
+`tool.scanner_size_m` and `process.standoff_m` with them.
 """
+
+
+def preset_rows() -> str:
+    """One table row for each scanner preset."""
+    rows = []
+    for name in scanner_presets():
+        cell = settings_from({"scanner": {"model": name}})
+        near, far = cell.scanner.range_m
+        field = " x ".join(f"{angle:g}" for angle in cell.scanner.field_deg)
+        housing = " x ".join(f"{side * 1e3:.0f}" for side in cell.tool.scanner_size_m)
+        text = (models_dir() / "scanners" / f"{name}.yaml").read_text(encoding="utf-8")
+        purpose = text.splitlines()[0].split(": ", 1)[1].rstrip(".")
+        rows.append(f"| `{name}` | {near:g} to {far:g} | {field} | {housing} | {purpose} |")
+    return "\n".join(rows)
 
 
 def bounds(field: FieldInfo) -> str:
@@ -62,7 +99,7 @@ def rows_of(model: type[BaseModel]) -> list[str]:
 
 def reference() -> str:
     """The whole page."""
-    parts = [HEAD]
+    parts = [HEAD.replace("PRESETS", preset_rows())]
     for name, field in CellSettings.model_fields.items():
         model: Any = ObstacleSettings if name == "obstacles" else field.annotation
         if field.exclude or not (isinstance(model, type) and issubclass(model, BaseModel)):

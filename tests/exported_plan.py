@@ -100,5 +100,6 @@ def made_by_hand(cell):
         options=SimpleNamespace(seed=7, mode="default", strategy="two-step", source="mesh"),
         segments=(SimpleNamespace(unreachable=()),), samples=None, visible=None,
     )  # fmt: skip
+    plan.cycle = plan.trajectory
     plan.record = lambda: plan_record(plan)
     return plan

@@ -58,6 +58,7 @@ def helix_plan(cell, overlap=1.0):
         segments=(SimpleNamespace(unreachable=()),), cloud=None, holes=None, samples=None,
         visible=None,
     )  # fmt: skip
+    plan.cycle = plan.trajectory
     plan.record = lambda: plan_record(plan)
     return plan
 

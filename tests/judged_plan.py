@@ -76,6 +76,7 @@ def hand_made_plan():
         cloud=None, holes=None, samples=None, visible=None, seen=None, viewpoints=views, unreachable=(),
         dropped=(), unscanned=(),
     )  # fmt: skip
+    plan.cycle = plan.trajectory
     plan.record = lambda: plan_record(plan)
     return plan
 

@@ -2,8 +2,11 @@
 
 import numpy as np
 
+from scanmotion.cell.settings import load_cell
+from scanmotion.cell.view_costs import view_costs
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.table import TableGeometry
 from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.sensing.free_space import Space
 from scanmotion.sensing.fusion.fuse import fuse
@@ -16,6 +19,8 @@ from scanmotion.views.next_best_views import LocalStep, local_step
 
 STRIDE, VOXEL, TABLE = 4, 0.004, 0.76
 SCANNER = Scanner()
+AROUND = TableGeometry(radius=TABLE)
+COSTS = view_costs(load_cell("kr240"))
 
 
 def block_with_pit(size, pit, *, lean=0.0):
@@ -74,12 +79,12 @@ def frames(part, X_OS, scanner, *, stride=1):
 class Rounds:
     """What the scans have shown so far, and the local steps taken on it."""
 
-    def __init__(self, part: Part, *, samples: int = 8000, seed: int = 0) -> None:
-        self.part, self.rng = part, np.random.default_rng(seed)
+    def __init__(self, part: Part, *, samples: int = 8000, seed: int = 0, scanner: Scanner = SCANNER) -> None:
+        self.part, self.rng, self.scanner = part, np.random.default_rng(seed), scanner
         self.scene = scene_from(part.vertices, part.triangles, table_radius=TABLE)
         self.samples = surface_samples(part, samples, rng=np.random.default_rng(seed + 1))
         self.seen = np.zeros(samples, bool)
-        self.space = Space(SCANNER, edge=VOXEL, stride=STRIDE)
+        self.space = Space(scanner, edge=VOXEL, stride=STRIDE)
         self.cloud, self.model, self.claimed = None, None, None
         self.steps: list[LocalStep] = []
 
@@ -90,10 +95,11 @@ class Rounds:
             t=np.arange(n) / 10, X_WS=X_OS, table_angle=np.zeros(n), X_WT=np.eye(4), X_TO=np.eye(4)
         )
         scan = simulate(
-            self.scene, SCANNER, captures, stride=STRIDE, rng=self.rng, samples=self.samples, known=self.seen
-        )
+            self.scene, self.scanner, captures,
+            stride=STRIDE, rng=self.rng, samples=self.samples, known=self.seen,
+        )  # fmt: skip
         self.seen |= scan.seen
-        self.space.add(captures.X_OS, depth_images(scan, SCANNER, stride=STRIDE))
+        self.space.add(captures.X_OS, depth_images(scan, self.scanner, stride=STRIDE))
         new = fuse([scan], voxel=VOXEL)
         self.cloud = new if self.cloud is None else merged(self.cloud, new, voxel=VOXEL)
 
@@ -105,9 +111,8 @@ class Rounds:
         """Chooses viewpoints, and takes their frames."""
         assert self.cloud is not None
         step = local_step(
-            self.cloud.points, self.cloud.normals, (), SCANNER, spacing=VOXEL, table_radius=TABLE,
-            space=self.space, claimed=self.claimed, model=self.model,
-            rng=self.rng, **options,
+            self.cloud.points, self.cloud.normals, (), self.scanner, spacing=VOXEL, table=AROUND,
+            costs=COSTS, space=self.space, claimed=self.claimed, model=self.model, rng=self.rng, **options,
         )  # fmt: skip
         self.claimed = step.claimed if self.claimed is None else np.concatenate([self.claimed, step.claimed])
         self.model = step.model

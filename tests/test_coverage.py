@@ -14,10 +14,10 @@ from scanmotion.core.scanner import Scanner
 from scanmotion.core.viewpoint import look_at
 from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.sensing import visibility as coverage
+from scanmotion.sensing.greedy_cover import greedy_cover
 from scanmotion.sensing.visibility import (
     GUESSED,
     free_lines,
-    greedy_cover,
     hemisphere,
     in_view,
     revolution_poses,

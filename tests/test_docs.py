@@ -4,6 +4,8 @@ import re
 import runpy
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+import scanmotion as sm
 from scanmotion.cell.settings import load_cell
 from scanmotion.cli import app
 from scanmotion.geometry.parts import box_part, surface_samples
@@ -182,3 +185,13 @@ def test_python_of_the_readme_runs(folder, monkeypatch, capsys):
         exec(compile(block, "README.md", "exec"), {})
     assert "final" in capsys.readouterr().out
     assert (folder / "out" / "trajectory.csv").is_file()
+
+
+def test_site_is_built_without_a_warning(tmp_path):
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html"]
+    made = subprocess.run([*command, ROOT / "docs", tmp_path], capture_output=True, text=True, cwd=ROOT)
+    assert made.returncode == 0, made.stderr
+    api = (tmp_path / "_generated" / "api.html").read_text(encoding="utf-8")
+    commands = (tmp_path / "_generated" / "cli.html").read_text(encoding="utf-8")
+    assert all(name in api for name in sm.__all__)
+    assert "scanmotion plan" in commands and "--robot" in commands

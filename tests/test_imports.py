@@ -18,14 +18,14 @@ LAYERS = (
     {"planning"},
     {"plan_io"},
     {"judge", "export", "report"},
-    {"studies"},
+    {"studies", "job", "controller"},
     {"cli", "viewpoints"},
     {"__main__"},
 )
 """From the ground up: a room imports itself and lower layers, never its neighbours or what is above."""
 RANK = {room: rank for rank, layer in enumerate(LAYERS) for room in layer}
 STILL_UPWARD = {("planning", "plan_io"), ("planning", "judge")}
-PYDRAKE = {"cell", "motion/transit", "motion/timing", "report/scene.py"}
+PYDRAKE = {"cell", "motion/transit", "motion/timing", "report/scene.py", "controller/plant.py"}
 STAGES = {"reach": "find", "order": "sequence", "transit": "plan", "timing": "operations"}
 
 

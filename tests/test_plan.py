@@ -130,7 +130,7 @@ def test_the_summary_has_the_contracts_keys(saved, planned):
     assert all(set(u) == {"id", "reason"} for u in summary["viewpoints"]["unreachable"])
     assert set(summary["completeness"]) == {"after_global", "final", "final_of_whole"}
     assert set(summary["accuracy"]) == {"mean_abs_mm", "sd_signed_mm", "mean_signed_mm"}
-    assert set(summary["time_s"]) == {"total", "arm", "table", "sweep", "dwell", "floor"}
+    assert set(summary["time_s"]) == {"total", "arm", "table", "sweep", "dwell", "floor", "cycle"}
     assert set(summary["budget"]) == {"limit_s", "ok", "costliest", "by_order", "curve", "advice"}
     assert summary["findings"] == []
     assert summary["planning_s"]["total"] >= max(v for k, v in summary["planning_s"].items() if k != "total")
@@ -249,3 +249,15 @@ def test_the_public_names_plan_and_judge(settings, tmp_path):
     public = sm.plan(box_part(0.2, 0.15, 0.3), settings, options=PlanOptions(source="box", **TINY))
     public.save(tmp_path / "public")
     assert sm.verify(tmp_path / "public") == []
+
+
+def test_a_plan_ends_at_home_and_the_scans_seconds_do_not_count_the_way(pitted_plan):
+    cycle = pitted_plan.cycle
+    last = cycle.operations[-1]
+    assert last.kind == "transit" and last.viewpoints == ()
+    np.testing.assert_allclose(last.q_end, pitted_plan.cell.home, atol=1e-6)
+    np.testing.assert_array_equal(cycle.q[0], pitted_plan.cell.home)
+    time_s = pitted_plan.time_s()
+    assert time_s["total"] == cycle.operations[-2].t_end == pitted_plan.trajectory.duration
+    assert time_s["cycle"] == pytest.approx(cycle.duration) and time_s["cycle"] > time_s["total"]
+    assert time_s["floor"] <= time_s["total"]

@@ -7,14 +7,16 @@ import pytest
 
 import scanmotion.planning.evidence as module
 from scanmotion.cell.settings import load_cell
+from scanmotion.cell.view_costs import view_costs
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.table import TableGeometry
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
 from scanmotion.planning.evidence import Surroundings, next_views, no_evidence
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.sensing.fusion.fuse import Cloud
 
-AROUND = Surroundings(table_radius=0.76, table_z=0.0, pedestal_radius=0.0)
+AROUND = Surroundings(table=TableGeometry(radius=0.76), costs=view_costs(load_cell("kr240")))
 RATE, AREA = 2e-5, 0.5
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rounds import SCANNER, TABLE, VOXEL, Rounds, block_with_pit, blocked, boxes, frames
+from rounds import AROUND, COSTS, SCANNER, VOXEL, Rounds, block_with_pit, blocked, boxes, frames
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import HoleError
@@ -17,9 +17,6 @@ from scanmotion.sensing.free_space import Space
 from scanmotion.sensing.visibility import hemisphere, scene_from, sees, visible
 from scanmotion.views.candidate_views import CandidateOptions, candidates
 from scanmotion.views.next_best_views import (
-    REVOLUTION_S,
-    SECONDS_PER_METRE,
-    STATION_S,
     SelectOptions,
     local_step,
 )
@@ -250,7 +247,7 @@ def test_candidates_have_both_eyes_free():
     normals = np.array([[0, 0, 1.0], [-1, 0, 0], [1, 0, 0], [0, -1, 0]])
     found = candidates(
         scene, SCANNER, Targets(points=targets, normals=normals, areas=np.ones(4)), solid=vertices,
-        table_radius=0.76, table_z=0.0,
+        table=AROUND,
     )  # fmt: skip
     poses, turns = found.X_OS, found.turns
     stations = poses[~turns]
@@ -304,7 +301,7 @@ def again(first, **given):
     """The first local step of the pit, with other wishes."""
     given = {"options": SelectOptions(candidates=COARSE), **given}
     return local_step(
-        first["points"], first["normals"], (), SCANNER, spacing=VOXEL, table_radius=TABLE,
+        first["points"], first["normals"], (), SCANNER, spacing=VOXEL, table=AROUND, costs=COSTS,
         space=deepcopy(first["space"]), rng=np.random.default_rng(5), **given,
     )  # fmt: skip
 
@@ -370,11 +367,11 @@ def test_the_same_draws_choose_the_same(pit):
 def seconds_of(step):
     """What the step's viewpoints cost in their order: each its own time and the nearest way."""
     place = np.array([[np.hypot(*v.p_OS[:2]), v.p_OS[2]] for v in step.viewpoints])
-    own = [STATION_S if v.kind == "station" else REVOLUTION_S for v in step.viewpoints]
+    own = [COSTS.station_s if v.kind == "station" else COSTS.revolution_s for v in step.viewpoints]
     way = [
         min([0.3, *np.linalg.norm(place[:k] - place[k], axis=1)] if k else [0.3]) for k in range(len(place))
     ]
-    return sum(own) + SECONDS_PER_METRE * sum(way)
+    return sum(own) + COSTS.seconds_per_metre * sum(way)
 
 
 @pytest.mark.parametrize("seconds", [0.0, 6.0, 12.0, np.inf])
@@ -383,7 +380,7 @@ def test_the_seconds_are_kept(pit, seconds):
     if len(step.viewpoints):
         assert seconds_of(step) <= seconds + 1e-6
     else:
-        assert seconds < STATION_S + 0.3 * SECONDS_PER_METRE
+        assert seconds < COSTS.station_s + 0.3 * COSTS.seconds_per_metre
         assert {p.reason for p in step.unseen} >= {"not worth its seconds"}
 
 
@@ -391,8 +388,8 @@ def test_the_seconds_are_kept(pit, seconds):
 def test_the_least_rate_is_kept(pit, rate):
     step = again(pit[2], options=SelectOptions(candidates=COARSE, least_rate=rate))
     for v, gain in zip(step.viewpoints, step.gains, strict=True):
-        own = STATION_S if v.kind == "station" else REVOLUTION_S
-        assert gain / (own + 0.1 * SECONDS_PER_METRE) >= rate * step.model.area
+        own = COSTS.station_s if v.kind == "station" else COSTS.revolution_s
+        assert gain / (own + 0.1 * COSTS.seconds_per_metre) >= rate * step.model.area
     if rate == 1.0:
         assert step.viewpoints == () and len(step.claimed) == 0
 

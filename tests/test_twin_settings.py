@@ -44,7 +44,7 @@ def test_every_error_of_the_twin_is_a_setting():
     told = {
         "pose_mm": 0.5, "pose_deg": 0.1, "range_noise": 2, "frame_scale": 3, "hand_eye_mm": [1, -2, 3],
         "hand_eye_deg": [0.1, 0.2, -0.3], "axis_mm": [-0.5, 0.25], "axis_deg": [0.4, -0.5],
-        "backlash_deg": 0.6,
+        "backlash_deg": 0.6, "latency_ms": -2.0, "jitter_ms": 0.25,
     }  # fmt: skip
     found = settings_from({"twin": told}).twin_errors()
     assert set(found) == {f.name for f in fields(ScanErrors)}
@@ -54,6 +54,7 @@ def test_every_error_of_the_twin_is_a_setting():
         "range_noise": 2.0, "frame_scale": 3.0, "pose_m": 5e-4, "pose_rad": 0.1 * deg,
         "hand_eye_m": (1e-3, -2e-3, 3e-3), "hand_eye_rad": (0.1 * deg, 0.2 * deg, -0.3 * deg),
         "axis_m": (-5e-4, 2.5e-4), "axis_rad": (0.4 * deg, -0.5 * deg), "backlash_rad": 0.6 * deg,
+        "latency_s": -2e-3, "jitter_s": 2.5e-4,
     }.items():  # fmt: skip
         assert found[name] == pytest.approx(expected, rel=1e-12), name
 
@@ -309,7 +310,7 @@ def test_the_surface_is_assessed_both_ways():
 
 
 def test_what_calibration_states_can_be_written_into_a_cell():
-    theta = np.array([1e-4, -2e-4, 3e-4, 1e-3, 2e-3, -1e-3, 5e-4, -5e-4, 1e-3, -1e-3, 1e-3])
+    theta = np.array([1e-4, -2e-4, 3e-4, 1e-3, 2e-3, -1e-3, 5e-4, -5e-4, 1e-3, -1e-3, 1e-3, 2e-3])
     found = Calibration(
         errors=errors_from(theta), sd=np.abs(theta), known=theta > 0, rms_before=2e-4, rms_after=1e-4,
         statement="",
@@ -319,6 +320,13 @@ def test_what_calibration_states_can_be_written_into_a_cell():
     assert record["disagreement_mm"] == {"before": 0.2, "after": 0.1}
     for key, expected in (("estimated", theta), ("sd", np.abs(theta))):
         e = settings_from({"twin": record[key]}).twin_errors()
-        told = [*e["hand_eye_m"], *e["hand_eye_rad"], *e["axis_m"], *e["axis_rad"], e["backlash_rad"]]
+        told = [
+            *e["hand_eye_m"],
+            *e["hand_eye_rad"],
+            *e["axis_m"],
+            *e["axis_rad"],
+            e["backlash_rad"],
+            e["latency_s"],
+        ]
         np.testing.assert_allclose(told, expected, atol=2e-8)
     assert calibration_record(None) is None and calibration_record(Corrections()) is None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rounds import SCANNER, TABLE, block_with_pit
+from rounds import AROUND, SCANNER, TABLE, block_with_pit
 
 from scanmotion.geometry.parts import surface_samples
 from scanmotion.sensing.visibility import scene_from
@@ -92,7 +92,7 @@ def asked(pit, mask, visible, reachable):
     open_ = Targets(points=s.points[mask], normals=s.normals[mask], areas=np.full(int(mask.sum()), s.area))
     return open_surface(
         scene_from(part.vertices, part.triangles, table_radius=TABLE), SCANNER, open_,
-        np.full(int(mask.sum()), visible), solid=part.vertices, reachable=reachable, table_radius=TABLE,
+        np.full(int(mask.sum()), visible), solid=part.vertices, reachable=reachable, table=AROUND,
     )  # fmt: skip
 
 

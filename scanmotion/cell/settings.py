@@ -2,49 +2,35 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
+from scanmotion.cell.error_settings import (
+    CalibrationSettings,
+    Number,
+    Settings,
+    Side,
+    TwinSettings,
+    UncertaintySettings,
+)
 from scanmotion.cell.programme_settings import ProgrammeSettings
+from scanmotion.cell.scanner_presets import with_scanner_preset
 from scanmotion.core.errors import CellError
-from scanmotion.core.scanner import Scanner
+from scanmotion.core.scanner import MATERIALS, Scanner
 from scanmotion.geometry.parts import models_dir
-
-
-def _number(value: Any) -> Any:
-    """Refuses what YAML lets through as a number's stand-in: true, "0.7 m", nan."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"a number is expected, not {str(value)[:40]!r}")
-    if not math.isfinite(value):
-        raise ValueError(f"{value} is not finite")
-    return float(value)
-
-
-Number = Annotated[float, BeforeValidator(_number)]
-Offset = Annotated[Number, Field(ge=-5.0, le=5.0)]
-"""Error of a place [mm]."""
-Turn = Annotated[Number, Field(ge=-2.0, le=2.0)]
-"""Error of an orientation [deg]."""
-Side = Annotated[Number, Field(gt=0.0, le=100.0)]
-"""Side of a box [m]."""
-
 
 OWN_NAMES = ("floor", "table", "table_column", "pedestal", "part", "scanner", "fixture_plate")
 """Names of solids that every cell has."""
-
-
-class _Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def _length(low: float, high: float, default: float, meaning: str) -> Any:
     return Field(default=default, ge=low, le=high, description=meaning, json_schema_extra={"unit": "m"})
 
 
-class RobotSettings(_Settings):
+class RobotSettings(Settings):
     """The arm: which model, how hard it may accelerate, where it rests."""
 
     model: str = Field("kr240", description="built-in name, or path of a URDF beside the cell's YAML")
@@ -52,6 +38,10 @@ class RobotSettings(_Settings):
         ("A1", "A2", "A3", "A4", "A5", "A6"), description="the six joints, base to flange"
     )
     flange: str = Field("tool0", description="link whose frame is the flange (z outward)")
+    flange_axis: Literal["z", "x"] | None = Field(
+        None,
+        description="which axis of the flange points outward; default: z, and x (REP-199) is asked about",
+    )
     packages: tuple[str, ...] = Field(
         (), description="folders in which package:// of a URDF's meshes is sought"
     )
@@ -69,14 +59,14 @@ class RobotSettings(_Settings):
     velocity_scale: Number = Field(1.0, gt=0.0, le=1.0, description="share of the rated joint speeds used")
 
 
-class BaseSettings(_Settings):
+class BaseSettings(Settings):
     """Where the robot stands."""
 
     position_m: tuple[Number, Number, Number] = Field((0.0, 0.0, 0.0), description="base in the world")
     yaw_deg: Number = Field(0.0, ge=-360.0, le=360.0, description="turn of the base about the vertical")
 
 
-class ToolSettings(_Settings):
+class ToolSettings(Settings):
     """V-fixture and scanner on the flange."""
 
     arm_m: Number = Field(0.25, ge=0.0, le=2.0, description="flange to scanner along the flange axis")
@@ -86,12 +76,13 @@ class ToolSettings(_Settings):
     )
     roll_deg: Number = Field(0.0, ge=-180.0, le=180.0, description="scanner turned about its optical axis")
     mass_kg: Number = Field(5.0, gt=0.0, le=1000.0, description="fixture and scanner together")
+    plate_m: Number = Field(0.16, gt=0.0, le=1.0, description="diameter of the fixture's plate on the flange")
     scanner_size_m: tuple[Number, Number, Number] = Field(
         (0.262, 0.158, 0.063), description="housing along x, y, z of the scanner"
     )
 
 
-class TurntableSettings(_Settings):
+class TurntableSettings(Settings):
     """The table: seventh axis E1."""
 
     position_m: tuple[Number, Number] = Field((2.2, 0.0), description="axis in the world, x and y")
@@ -105,14 +96,14 @@ class TurntableSettings(_Settings):
     endless: bool = Field(False, description="the table may turn on for ever; range_deg is then not used")
 
 
-class PedestalSettings(_Settings):
+class PedestalSettings(Settings):
     """A block between table and object; height 0 for none."""
 
     height_m: Number = Field(0.0, ge=0.0, le=2.0, description="above the table; 0 for none")
     diameter_m: Number = Field(0.3, gt=0.0, le=5.0, description="it is round")
 
 
-class ObstacleSettings(_Settings):
+class ObstacleSettings(Settings):
     """A box that stands in the cell."""
 
     name: str = Field(pattern=r"^[\w .-]{1,60}$", description="what findings and causes call it")
@@ -121,9 +112,13 @@ class ObstacleSettings(_Settings):
     yaw_deg: Number = Field(0.0, description="turn of the box about the vertical")
 
 
-class ScannerSettings(_Settings):
+class ScannerSettings(Settings):
     """Table 1 of the paper, and the noise of the scan twin."""
 
+    model: str | None = Field(
+        None,
+        description="preset that gives the keys below, and housing, standoff and frame rate; null for none",
+    )
     field_deg: tuple[Number, Number] = Field((30.0, 21.0), description="field of view, long and short side")
     range_m: tuple[Number, Number] = Field((0.4, 1.0), description="least and greatest working distance")
     max_incidence_deg: Number = Field(
@@ -133,9 +128,14 @@ class ScannerSettings(_Settings):
     rays: tuple[int, int] = Field((424, 296), description="measured pixels of a frame")
     sigma_mm: Number = Field(0.05, ge=0.0, le=10.0, description="noise along the ray at least distance")
     frame_scale: Number = Field(1.5e-4, ge=0.0, le=0.1, description="scale error of a frame, m per m")
+    material: Literal["matt", "glossy", "dark"] = Field("matt", description="of the part's surface, a model")
+    exposure_ms: Number = Field(0.0, ge=0.0, le=100.0, description="a frame's exposure: motion blurs it")
+    rolling_ms: Number = Field(
+        0.0, ge=-1000.0, le=1000.0, description="the last pixel row is measured so much after the first"
+    )
 
 
-class ProcessSettings(_Settings):
+class ProcessSettings(Settings):
     """Table 2 of the paper, and what the plan has to keep."""
 
     standoff_m: Number = _length(0.1, 5.0, 0.7, "nominal distance of the scanner to the surface")
@@ -149,32 +149,7 @@ class ProcessSettings(_Settings):
     max_height_m: Number = _length(0.05, 5.0, 1.2, "of a part that the cell takes")
 
 
-class TwinSettings(_Settings):
-    """What the simulated arm, table and scanner get wrong; the constant errors are zero where not stated."""
-
-    pose_mm: Number = Field(0.02, ge=0.0, le=5.0, description="arm: position of a frame, sd per axis")
-    pose_deg: Number = Field(0.003, ge=0.0, le=2.0, description="arm: orientation of a frame, sd per axis")
-    range_noise: Number = Field(1.0, ge=0.0, le=100.0, description="factor on scanner.sigma_mm; 0 is none")
-    frame_scale: Number = Field(1.0, ge=0.0, le=100.0, description="factor on scanner.frame_scale; 0 is none")
-    hand_eye_mm: tuple[Offset, Offset, Offset] = Field(
-        (0.0, 0.0, 0.0),
-        description="constant: true scanner off the nominal one, along its x, y, z",
-    )
-    hand_eye_deg: tuple[Turn, Turn, Turn] = Field(
-        (0.0, 0.0, 0.0), description="constant: rotation vector of the true scanner against the nominal one"
-    )
-    axis_mm: tuple[Offset, Offset] = Field(
-        (0.0, 0.0), description="constant: true axis of the table off the nominal one, along x and y"
-    )
-    axis_deg: tuple[Turn, Turn] = Field(
-        (0.0, 0.0), description="constant: tilt of the table's true axis about x and y"
-    )
-    backlash_deg: Number = Field(
-        0.0, ge=0.0, le=2.0, description="play of the table: it lags by half of this behind its motion"
-    )
-
-
-class CellSettings(_Settings):
+class CellSettings(Settings):
     """All that describes a cell; `load_cell` reads it from YAML."""
 
     name: str = "cell"
@@ -187,6 +162,8 @@ class CellSettings(_Settings):
     scanner: ScannerSettings = ScannerSettings.model_validate({})
     process: ProcessSettings = ProcessSettings.model_validate({})
     twin: TwinSettings = TwinSettings.model_validate({})
+    calibration: CalibrationSettings = CalibrationSettings.model_validate({})
+    uncertainty: UncertaintySettings = UncertaintySettings.model_validate({})
     programme: ProgrammeSettings = ProgrammeSettings.model_validate({})
 
     folder: str = Field("", exclude=True, description="where the YAML lies; model paths are relative to it")
@@ -234,11 +211,13 @@ class CellSettings(_Settings):
     def scanner_model(self) -> Scanner:
         """The scanner in SI units."""
         s = self.scanner
-        return Scanner(
+        plain = Scanner(
             fov=(math.radians(s.field_deg[0]), math.radians(s.field_deg[1])), range=s.range_m,
             max_incidence=math.radians(s.max_incidence_deg), baseline=s.baseline_m, rays=s.rays,
             sigma_at_near=s.sigma_mm * 1e-3, frame_scale=s.frame_scale,
+            exposure=s.exposure_ms * 1e-3, rolling=s.rolling_ms * 1e-3,
         )  # fmt: skip
+        return plain if s.material == "matt" else plain.before(MATERIALS[s.material])
 
     def twin_errors(self) -> dict[str, Any]:
         """The twin's errors in SI units, by the names of `scan.captures.ScanErrors`."""
@@ -250,6 +229,7 @@ class CellSettings(_Settings):
             "hand_eye_rad": tuple(map(math.radians, t.hand_eye_deg)),
             "axis_m": tuple(map(_metres, t.axis_mm)), "axis_rad": tuple(map(math.radians, t.axis_deg)),
             "backlash_rad": math.radians(t.backlash_deg),
+            "latency_s": t.latency_ms / 1000, "jitter_s": t.jitter_ms / 1000,
         }  # fmt: skip
 
 
@@ -308,11 +288,26 @@ def settings_from(data: dict[str, Any], *, folder: str = "") -> CellSettings:
         CellError: as load_cell.
     """
     try:
-        return CellSettings.model_validate({**data, "folder": folder})
+        return CellSettings.model_validate({**with_scanner_preset(data), "folder": folder})
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal")))
         raise CellError(_message(first, key, data), key=key) from None
+
+
+def cell_settings_from(source: Any) -> CellSettings:
+    """Settings of a cell, whatever names it: settings, a built-in name, a YAML file, or a mapping as in one.
+
+    Raises:
+        CellError: not one of these, or as load_cell.
+    """
+    if isinstance(source, CellSettings):
+        return source
+    if isinstance(source, str | Path):
+        return load_cell(source)
+    if isinstance(source, dict):
+        return settings_from(source)
+    raise CellError(f"a {type(source).__name__} is no cell; known: settings, a name, a YAML file, a mapping")
 
 
 def _message(first: Any, key: str, data: dict) -> str:

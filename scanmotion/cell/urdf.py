@@ -137,9 +137,20 @@ def mesh_path(filename: str, path: Path, packages: tuple[Path, ...]) -> Path | N
 
 def _package_folders(package: str, path: Path, packages: tuple[Path, ...]) -> Iterator[Path]:
     for folder in (*packages, *path.resolve().parents):
-        if folder.name == package:
+        if folder.name == package or _is_package(folder, package):
             yield folder
         yield folder / package
+
+
+def _is_package(folder: Path, package: str) -> bool:
+    """Whether a folder, whatever it is called, says that it is the package."""
+    file = folder / "package.xml"
+    try:
+        return file.is_file() and f"<name>{package}</name>" in file.read_text(encoding="utf-8").replace(
+            " ", ""
+        )
+    except (OSError, UnicodeDecodeError):
+        return False
 
 
 def _collect_meshes(

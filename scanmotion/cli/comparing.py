@@ -26,7 +26,7 @@ def compare(
     robot: Robot = None,
     cell: CellFile = None,
     part: PartFile = None,
-    units: Units = "mm",
+    units: Units = "",
     up: Up = "+z",
     variant: Annotated[
         list[str] | None,

@@ -9,13 +9,11 @@ from scanmotion.cli.app import OK, progress_bar
 from scanmotion.cli.inputs import OUT, Quiet, Units, check_file, check_suffix
 from scanmotion.core.errors import InputError
 
-SUFFIXES = (".ply", ".pcd", ".xyz", ".stl", ".obj")
-
 
 def fuse(
     scans: Annotated[list[Path], typer.Argument(help="Measured scans, or a folder of them.")],
     out: Annotated[Path, typer.Option("--out", help="Fused cloud or surface, PLY, mm.", rich_help_panel=OUT)],
-    units: Units = "mm",
+    units: Units = "",
     poses: Annotated[
         Path | None,
         typer.Option("--poses", help='JSON: {"scans": {FILE: {"T_object_scan": 4 x 4}}}, file units.'),
@@ -27,7 +25,8 @@ def fuse(
 ) -> int:
     """Merge measured scans into one cloud, or one surface trimmed to the data.
 
-    Scans without poses are taken to be in the table's frame already.
+    Scans without poses are taken to be in the table's frame already. Of a folder every file of a known kind
+    is taken, whatever the case of its ending.
 
     A registration that cannot be trusted leaves a scan where its pose puts it, and says so.
     """
@@ -45,6 +44,8 @@ def fuse(
             raise InputError("no point of the scans has neighbours enough to be kept; is --voxel too small?")
         made = write_surface(out, fused.cloud) if surface else write_cloud(out, fused.cloud)
     if not quiet:
+        for scan, side in zip(measured, fused.sides, strict=True):
+            typer.echo(f"{scan.name}: {scan.report.line}" + (f"; {side}" if side else ""))
         for name, found in zip(fused.names[1:], fused.registrations[1:], strict=False):
             moved = f", moved by {found.shift * 1e3:.2f} mm" if found.trusted else ""
             typer.echo(f"{name}: {found.statement}{moved}")
@@ -59,9 +60,13 @@ def scan_files(paths: list[Path]) -> list[Path]:
     Raises:
         InputError: a folder without a scan.
     """
+    from scanmotion.geometry.part_files import SUFFIXES
+
     files = []
     for path in paths:
-        inside = sorted(p for p in path.iterdir() if p.suffix in SUFFIXES) if path.is_dir() else [path]
+        inside = [path]
+        if path.is_dir():
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
         if not inside:
             raise InputError(f"{path}: no scan in this folder; known: {', '.join(SUFFIXES)}")
         files += inside
@@ -105,43 +110,35 @@ def read_poses(path: Path, files: list[Path]) -> dict[str, Any]:
 def measured_scans(files: list[Path], poses: dict[str, Any], units: str, progress: Any) -> list[Any]:
     """The scans with their poses, in metres, and which way each looked.
 
-    A pose file may give the viewing direction of a scan; without it the scan's own origin is the camera, and
-    without a pose the side that the scan's normals, or its flat side, show.
+    A pose file may give the viewing direction of a scan; without it the scan's own origin is the camera.
+    Without a pose the sides are worked out from all scans together (see sensing.scan_sides).
     """
     import numpy as np
 
-    from scanmotion.geometry.parts import UNITS, part_from_file
+    from scanmotion.geometry.cloud_files import cloud_from_file
+    from scanmotion.geometry.placing import UNITS
     from scanmotion.sensing.scan_files import MeasuredScan
 
     scans = []
     for number, file in enumerate(files):
         progress("load", number / len(files))
-        part = part_from_file(file, units=units)
-        X_FO = np.linalg.inv(part.X_OI)  # pyright: ignore
-        p = (part.vertices @ X_FO[:3, :3].T + X_FO[:3, 3]) * UNITS[units]
-        X, towards = np.eye(4), _seen_from(part, p)
-        if (record := poses.get(file.name)) is not None:
+        record = poses.get(file.name)
+        up = None if record is not None else np.array([0.0, 0.0, 1.0])
+        read = cloud_from_file(file, units=units or None, up=up, any_size=number > 0)
+        X, towards = np.eye(4), None
+        if record is not None:
             X = record["T_object_scan"].copy()
-            X[:3, 3] *= UNITS[units]
-            towards = -p.mean(axis=0)
+            X[:3, 3] *= UNITS[read.report.units]
+            towards = -read.points.mean(axis=0)
             if "nominal_view_direction" in record:
                 towards = -X[:3, :3].T @ record["nominal_view_direction"]
-        length = float(np.linalg.norm(towards))
-        direction = towards / length if length > 1e-9 else None
-        scans.append(MeasuredScan(name=file.name, points=p, X=X, towards=direction))
+            length = float(np.linalg.norm(towards))
+            towards = towards / length if length > 1e-9 else None
+        scans.append(
+            MeasuredScan(name=file.name, points=read.points, X=X, towards=towards, normals=read.normals,
+                         report=read.report)
+        )  # fmt: skip
     return scans
-
-
-def _seen_from(part: Any, points: Any) -> Any:
-    """A metre towards the side that a scan shows, shape (3,)."""
-    import numpy as np
-
-    if part.normals is not None:
-        mean = part.normals.mean(axis=0)
-        if np.linalg.norm(mean) > 0.05:
-            return mean / np.linalg.norm(mean)
-    centred = points - points.mean(axis=0)
-    return np.linalg.eigh(centred.T @ centred)[1][:, 0]
 
 
 def write_surface(path: Path, cloud: Any) -> str:
@@ -156,13 +153,7 @@ def write_surface(path: Path, cloud: Any) -> str:
 
 def write_cloud(path: Path, cloud: Any) -> str:
     """A cloud with normals as binary PLY in mm, whole or not at all; says how much it is."""
-    import numpy as np
+    from scanmotion.geometry.ply import write_ply
 
-    from scanmotion.cli.inputs import write_bytes
-
-    names = ("x", "y", "z", "nx", "ny", "nz")
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(cloud.points)}"]
-    head += [f"property float {name}" for name in names] + ["end_header\n"]
-    rows = np.hstack([cloud.points * 1e3, cloud.normals]).astype("<f4")
-    write_bytes(path, "\n".join(head).encode() + rows.tobytes())
+    write_ply(path, cloud.points * 1e3, normals=cloud.normals)
     return f"{len(cloud.points)} points"

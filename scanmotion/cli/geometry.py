@@ -1,11 +1,11 @@
-"""Commands that know no robot: `holes`, `viewpoints`."""
+"""Commands that know no robot: `inspect`, `holes`, `viewpoints`."""
 
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from scanmotion.cli.app import OK, print_table, say_json
+from scanmotion.cli.app import CHECK_FAILED, OK, print_table, say_json
 from scanmotion.cli.inputs import (
     OUT,
     Box,
@@ -23,14 +23,101 @@ from scanmotion.cli.inputs import (
     check_suffix,
     only_one,
     part_and_source,
+    say_read,
     write_text,
 )
-from scanmotion.core.errors import InputError, PartError
+from scanmotion.core.errors import InputError
+
+
+def inspect(
+    file: Annotated[Path, typer.Argument(help="Cloud or mesh of any kind that is read.")],
+    units: Annotated[
+        str, typer.Option("--units", help="Unit of the file; what it states, else mm unless its size says m.")
+    ] = "",
+    up: Up = "+z",
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", help="Write six views of it, .png or .html.", rich_help_panel=OUT),
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Say what a file holds: format, size, unit, what was taken for what, and what had to be mended.
+
+    Exit status: 0 it is used as it is, 1 something was changed or is doubtful, 2 it cannot be used.
+    """
+    check_suffix("--picture", picture, ".png", ".html")
+    part = scan_from(file, units, up)
+    report = part.report
+    if picture is not None:
+        draw_part(part, picture)
+    if json:
+        say_json(report.record())
+    else:
+        print_table(f"What {file.name} holds", (), report_rows(report))
+        if picture is not None:
+            typer.echo(str(picture))
+    return CHECK_FAILED if report.changes or report.warnings else OK
+
+
+def report_rows(report: Any) -> list[tuple[str, str]]:
+    """Name and value of each line of `scanmotion inspect`."""
+    mesh = report.triangles > 0
+    rows = [("format", report.format), ("points", str(report.points))]
+    rows += (
+        [("triangles", str(report.triangles)), ("closed", "yes" if report.closed else "no")] if mesh else []
+    )
+    rows += [
+        ("size", " x ".join(f"{side:.4g}" for side in report.size_mm) + " mm"),
+        ("unit", f"{report.units}, {report.units_from}"),
+        ("bodies" if mesh else "pieces", str(report.bodies)),
+        ("specks left out", str(report.specks)),
+    ]
+    rows += [("taken", text) for text in report.columns]
+    rows += [("changed", text) for text in report.changes]
+    return [*rows, *(("note", text) for text in report.warnings)]
+
+
+def draw_part(part: Any, path: Path) -> None:
+    """Writes six views of a part with its holes, as PNG or as a page that holds the picture."""
+    import base64
+    import html
+    import io
+
+    import numpy as np
+
+    from scanmotion.cli.inputs import write_bytes
+    from scanmotion.core.errors import HoleError
+    from scanmotion.report.figures.maps import hole_figure
+    from scanmotion.sensing.holes.find import HoleReport
+
+    try:
+        report = holes_of(part, "default")
+    except HoleError:
+        report = HoleReport(holes=(), tiny=(), boundary_mask=np.zeros(len(part.vertices), bool), radius=0.0)
+    buffer = io.BytesIO()
+    hole_figure(part, report).savefig(buffer, format="png")
+    data = buffer.getvalue()
+    if path.suffix == ".html":
+        rows = "".join(
+            f"<tr><td>{html.escape(k)}</td><td>{html.escape(v)}</td></tr>"
+            for k, v in report_rows(part.report)
+        )
+        image = base64.b64encode(data).decode("ascii")
+        name = html.escape(part.name)
+        data = (
+            f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name}</title></head>'
+            f'<body style="font-family:sans-serif"><h1>{name}</h1><table>{rows}</table>'
+            f'<img alt="six views" style="max-width:100%" src="data:image/png;base64,{image}">'
+            "</body></html>\n"
+        ).encode()
+    write_bytes(path, data)
 
 
 def holes(
-    file: Annotated[Path, typer.Argument(help="Cloud or mesh (PLY, STL, OBJ, PCD, XYZ).")],
-    units: Annotated[str, typer.Option("--units", help="Unit of the file; mm unless its size says m.")] = "",
+    file: Annotated[Path, typer.Argument(help="Cloud or mesh (PLY, STL, OBJ, PCD, XYZ, ..).")],
+    units: Annotated[
+        str, typer.Option("--units", help="Unit of the file; what it states, else mm unless its size says m.")
+    ] = "",
     up: Up = "+z",
     mode: Mode = "default",
     out: Annotated[
@@ -49,6 +136,7 @@ def holes(
     check_suffix("--out", out, ".json")
     part = scan_from(file, units, up)
     report = holes_of(part, mode)
+    say_read(part, quiet=json)
     document = hole_report_to_json(report, part)
     if out is not None:
         write_text(out, dumps(document))
@@ -91,17 +179,7 @@ def scan_from(file: Path, units: str, up: str) -> Any:
     """A scan whose unit need not be known: holes are found relative to the spacing of its points."""
     from scanmotion.geometry.parts import part_from_file
 
-    if units:
-        return part_from_file(file, units=units, up=up)
-    try:
-        return part_from_file(file, units="mm", up=up)
-    except PartError as in_mm:
-        if "--units" not in str(in_mm):
-            raise
-        try:
-            return part_from_file(file, units="m", up=up)
-        except PartError:
-            raise in_mm from None
+    return part_from_file(file, units=units or None, up=up, guess=True)
 
 
 def holes_of(part: Any, mode: str) -> Any:
@@ -109,7 +187,7 @@ def holes_of(part: Any, mode: str) -> Any:
     from scanmotion.sensing.holes.find import holes_from_cloud, holes_from_mesh
 
     if part.is_mesh:
-        return holes_from_mesh(part.vertices, part.triangles, mode=mode)
+        return holes_from_mesh(part.vertices, part.triangles, mode=mode, weld=part.report is None)
     return holes_from_cloud(part.vertices, normals=part.normals, mode=mode)  # pyright: ignore
 
 
@@ -125,7 +203,7 @@ def viewpoints(
     box: Box = None,
     part: PartFile = None,
     scan: ScanFile = None,
-    units: Units = "mm",
+    units: Units = "",
     up: Up = "+z",
     place: Place = "",
     robot: Robot = None,
@@ -144,6 +222,7 @@ def viewpoints(
     settings = cell_from(robot, cell)
     subject, source = part_and_source(part, box, scan, units=units, up=up, place=place)
     chosen, dropped = choose_viewpoints(subject, source, settings, mode)
+    say_read(subject, quiet=json)
     if out is not None:
         from scanmotion.export.viewpoints import write_viewpoints
 

@@ -15,7 +15,7 @@ PART, CELL, OUT = "What is scanned", "The cell", "Output"
 
 PartFile = Annotated[
     Path | None,
-    typer.Option("--part", help="Mesh of the part (PLY, STL, OBJ).", rich_help_panel=PART),
+    typer.Option("--part", help="Mesh of the part (PLY, STL, OBJ, OFF, GLB, 3MF).", rich_help_panel=PART),
 ]
 Box = Annotated[
     tuple[float, float, float] | None,
@@ -31,7 +31,13 @@ ScanFile = Annotated[
     ),
 ]
 Units = Annotated[
-    str, typer.Option("--units", help="Unit of the file: mm, cm, m or in.", rich_help_panel=PART)
+    str,
+    typer.Option(
+        "--units",
+        help="Unit of the file: mm, cm, m, in, ft or um. By default what the file states, else mm.",
+        rich_help_panel=PART,
+        show_default=False,
+    ),
 ]
 Up = Annotated[
     str, typer.Option("--up", help="Axis of the file that points up, e.g. +z or -y.", rich_help_panel=PART)
@@ -103,7 +109,7 @@ def part_and_source(
     box: tuple[float, float, float] | None,
     scan: Path | None,
     *,
-    units: str = "mm",
+    units: str = "",
     up: str = "+z",
     place: str = "",
 ) -> tuple["Part", str]:
@@ -111,7 +117,7 @@ def part_and_source(
     from scanmotion.geometry.parts import carving, part_from_file
 
     given = only_one(part=part, box=box, scan=scan)
-    strange = {"units": units != "mm", "up": up != "+z", "place": bool(place)}
+    strange = {"units": bool(units), "up": up != "+z", "place": bool(place)}
     if part is None and scan is None and any(strange.values()):
         name = next(name for name, set_ in strange.items() if set_)
         what = "--box is in mm, z up" if box is not None else "it is about a file"
@@ -119,11 +125,17 @@ def part_and_source(
     if box is not None:
         return box_from(box), "box"
     if scan is not None:
-        return part_from_file(scan, units=units, up=up, place=place or "keep"), "scan"
+        return part_from_file(scan, units=units or None, up=up, place=place or "keep"), "scan"
     if part is not None:
-        return part_from_file(part, units=units, up=up, place=place or "centre"), "mesh"
+        return part_from_file(part, units=units or None, up=up, place=place or "centre"), "mesh"
     assert given is None
     return carving(), "mesh"
+
+
+def say_read(part: "Part", *, quiet: bool = False) -> None:
+    """One line on stderr of what was read, where the part came from a file."""
+    if part.report is not None and not quiet:
+        typer.echo(f"{part.report.file}: {part.report.line}", err=True)
 
 
 def check_out_folder(out: Path) -> None:
@@ -134,9 +146,11 @@ def check_out_folder(out: Path) -> None:
     """
     import os
 
+    from scanmotion.cli.complete import holds_answer
+
     if out.is_symlink() or (out.exists() and not out.is_dir()):
         raise InputError(f"--out {out}: is not a folder")
-    if out.is_dir() and any(out.iterdir()) and not (out / "plan.json").is_file():
+    if out.is_dir() and any(out.iterdir()) and not ((out / "plan.json").is_file() or holds_answer(out)):
         raise InputError(f"--out {out}: holds something that is not a plan; name another folder")
     parent = out.resolve().parent
     while not parent.exists():

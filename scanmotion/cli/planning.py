@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from scanmotion.cli.app import CHECK_FAILED, OK, print_table, progress_bar, say_json
+from scanmotion.cli.complete import is_complete, say_answer, write_answer
 from scanmotion.cli.inputs import (  # fmt: skip
     CELL,
     OUT,
@@ -26,12 +27,14 @@ from scanmotion.cli.inputs import (  # fmt: skip
     check_mode,
     check_out_folder,
     part_and_source,
+    say_read,
 )
 from scanmotion.core.errors import InputError
 
 AGAIN = "Planning again"
 TWIN = "The scan twin"
 FEW = 3
+MOTIONS = ("stops", "continuous")
 STRATEGIES = ("two-step", "cad-slicing", "surface-partitioning")
 
 
@@ -41,7 +44,7 @@ def plan(
     part: PartFile = None,
     box: Box = None,
     scan: ScanFile = None,
-    units: Units = "mm",
+    units: Units = "",
     up: Up = "+z",
     place: Place = "",
     budget: Annotated[
@@ -61,6 +64,21 @@ def plan(
             "twin sees as much and seconds are saved.",
         ),
     ] = False,
+    motion: Annotated[
+        str,
+        typer.Option(
+            "--motion",
+            help="stops: turns and stops, each from rest to rest. continuous: arm and table move at once, "
+            "the scanner always on, chosen on the part's mesh; with --budget, as much as can be seen in it.",
+        ),
+    ] = "stops",
+    completeness: Annotated[
+        float | None,
+        typer.Option(
+            "--completeness",
+            help="With --motion continuous: this share of what can be seen, 0..1, in the least seconds.",
+        ),
+    ] = None,
     keep: Annotated[
         Path | None,
         typer.Option(
@@ -133,9 +151,10 @@ def plan(
     """
     check_mode(mode)
     check_known("--strategy", strategy, STRATEGIES)
+    check_known("--motion", motion, MOTIONS)
     check_out_folder(out)
     only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
-    settings = subject = source = None
+    settings = subject = source = answer = None
     twin = {"calibrate": calibrate, "surface": surface, "keep_scans": save_scans, "helix": helix}
     if keep is None:
         settings = with_budget(cell_from(robot, cell), budget)
@@ -145,9 +164,18 @@ def plan(
             made = planned_again(keep, done, failed or (), budget, progress, **twin)
         else:
             told = {"source": source, "mode": mode, "strategy": strategy, "seed": seed}
-            told |= {"thorough": thorough, "tidy": tidy}
+            told |= {"thorough": thorough, "tidy": tidy, "motion": motion, "completeness": completeness}
+            told |= {"fill": budget is not None and completeness is None}
             made = planned(subject, settings, progress, **told, **twin)
-        made.save(out, extras=pages(made, progress) if html else {})
+        if is_complete(made):
+            answer = write_answer(made, out, html=html)
+        else:
+            made.save(out, extras=pages(made, progress) if html else {})
+    if subject is not None:
+        say_read(subject, quiet=quiet or json)
+    if answer is not None:
+        say_answer(answer, out, html=html, quiet=quiet, json=json)
+        return OK
     summary = read_summary(out)
     if json:
         say_json(summary)
@@ -285,6 +313,7 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
             f"{views['global']} global, {views['local']} local, {len(views['unreachable'])} left out",
         ),
         ("completeness, of what can be seen", share(done["final"])),
+        *sure_rows(summary),
         ("after the global step", share(done["after_global"])),
         *reach_rows(summary),
         ("of the whole surface", share(done["final_of_whole"])),
@@ -293,9 +322,16 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("time", f"{time['total']:.1f} s, {verdict} the budget of {limit:g} s (floor {time['floor']:.1f} s)"),
         ("of which [s]", split),
         *([("helix", summary["helix"]["note"])] if "helix" in summary else []),
+        *([("motion", summary["motion"]["note"])] if "motion" in summary else []),
         ("checks", counted(len(summary["findings"]))),
         ("planned in", f"{summary['planning_s']['total']:.1f} s"),
     ]  # fmt: skip
+
+
+def sure_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Line of the final table on how sure the prediction is, where that is known."""
+    found = summary.get("confidence")
+    return [] if found is None else [("how sure", found["statement"])]
 
 
 def reach_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scanmotion.core.read_report import ReadReport
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Part:
@@ -22,6 +24,8 @@ class Part:
     """Whether a mesh is watertight (a cloud never is)."""
     repairs: tuple[str, ...] = ()
     """What was mended while loading, one sentence each."""
+    report: ReadReport | None = None
+    """What was read from which file; None for a part made in memory."""
 
     def __post_init__(self) -> None:
         for name in ("vertices", "triangles", "normals", "X_OI"):
@@ -30,6 +34,11 @@ class Part:
                 value = np.array(value)
                 value.setflags(write=False)
                 object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        size = " x ".join(f"{side * 1e3:.0f}" for side in self.extent)
+        what = f"{len(self.triangles)} triangles" if self.is_mesh else f"{len(self.vertices)} points"
+        return f"Part({self.name!r}, {what}, {size} mm)"
 
     @property
     def is_mesh(self) -> bool:

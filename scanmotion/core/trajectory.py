@@ -5,8 +5,8 @@ from typing import Literal
 
 import numpy as np
 
-OperationKind = Literal["transit", "revolution", "sweep", "dwell", "helix"]
-SCANNING: frozenset[str] = frozenset({"revolution", "sweep", "dwell", "helix"})
+OperationKind = Literal["transit", "revolution", "sweep", "dwell", "helix", "path"]
+SCANNING: frozenset[str] = frozenset({"revolution", "sweep", "dwell", "helix", "path"})
 """Kinds of operation during which the scanner captures frames."""
 
 
@@ -17,7 +17,8 @@ class Operation:
     transit: arm and table together, scanner off. revolution: the table turns once, the arm still, scanner on.
     sweep: the scanner on a straight line at constant speed relative to the part, table still, scanner on.
     dwell: everything still, scanner on. helix: the table turns on in one sense, a whole turn or more for each
-    viewpoint, while the arm goes on straight from one to the next, scanner on.
+    viewpoint, while the arm goes on straight from one to the next, scanner on. path: arm and table
+    move at once, each as it likes, scanner on.
     """
 
     index: int

@@ -36,7 +36,8 @@ class Viewpoint:
     X_OS: np.ndarray
     """Pose of S in O, shape (4, 4)."""
     standoff: float
-    """Distance along +z of S to the aimed surface [m]."""
+    """Distance along +z of S to the aimed surface, as far as that is known when the viewpoint is chosen; of a
+    turn the median over those of its angles at which it is inside the scanner's range [m]."""
     step: Step
     kind: Kind
     sweep: str = ""
@@ -51,6 +52,10 @@ class Viewpoint:
             raise ValueError(f"viewpoint {self.id}: X_OS must be a finite (4, 4) matrix")
         X.setflags(write=False)
         object.__setattr__(self, "X_OS", X)
+
+    def __repr__(self) -> str:
+        x, y, z = (f"{v * 1e3:.0f}" for v in self.p_OS)
+        return f"Viewpoint({self.id!r}, {self.kind}, at ({x}, {y}, {z}) mm, {self.standoff * 1e3:.0f} mm off)"
 
     @property
     def p_OS(self) -> np.ndarray:

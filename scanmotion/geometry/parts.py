@@ -4,12 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from scanmotion.core.errors import PartError
 from scanmotion.core.part import Part, SurfaceSamples
+from scanmotion.geometry.files.raw import RawGeometry
+from scanmotion.geometry.mending.mend_cloud import MendedCloud, mended_cloud
+from scanmotion.geometry.mending.mend_mesh import Mended, mended
 from scanmotion.geometry.part_files import read_geometry
+from scanmotion.geometry.placing import UNITS, check_size, check_steps, report_of, unit_of, upright
 
 
 def surface_samples(part: Part, n: int, *, rng: np.random.Generator) -> SurfaceSamples:
@@ -51,90 +53,75 @@ def box_part(length: float, width: float, height: float) -> Part:
     return Part(name="box", vertices=corners * sides, triangles=np.array(triangles))
 
 
-UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
-_AXES = {"x": 0, "y": 1, "z": 2}
-
-
-def part_from_file(path: str | Path, *, units: str = "mm", up: str = "+z", place: str = "centre") -> Part:
-    """Loads a mesh (PLY, STL, OBJ) or a cloud (PLY, PCD, XYZ) into frame O.
+def part_from_file(
+    path: str | Path, *, units: str | None = None, up: str = "+z", place: str = "centre", guess: bool = False
+) -> Part:
+    """Loads a mesh or a cloud of any kind that `read_geometry` knows into frame O.
 
     Args:
         path: the file.
-        units: unit of the file's coordinates: mm, cm, m or in.
+        units: unit of the file's coordinates: mm, cm, m, in, ft or um; by default what the file states, and
+            mm where it states none.
         up: axis of the file that points up: +x, -x, +y, -y, +z or -z.
         place: "centre" stands the box's centre on the table's axis and its base at z = 0; "keep" takes the
             file's x, y, z as they are (a scan measured in the turntable's frame).
+        guess: whether a size that is absurd in mm may be taken for metres.
+
+    Returns:
+        The part; its `report` says what was read, assumed and changed.
 
     Raises:
-        PartError: missing, broken, empty, not finite, flat, or absurd in size; the line says what.
+        PartError: missing, broken, empty, flat, or absurd in size; the line says what.
     """
-    raw = read_geometry(path)
-    name = str(path)
-    if units not in UNITS:
+    return part_from_raw(read_geometry(path), str(path), units=units, up=up, place=place, guess=guess)
+
+
+def part_from_raw(
+    raw: RawGeometry, name: str, *, units: str | None, up: str, place: str, guess: bool = False
+) -> Part:
+    """Checks and mends what was read from the file `name`, or made in memory; arguments as part_from_file."""
+    if units and units not in UNITS:
         raise PartError(f"unknown unit {units!r}; known: {', '.join(UNITS)}", path=name)
     if place not in ("centre", "keep"):
         raise PartError(f"unknown placement {place!r}; known: centre, keep", path=name)
     if len(raw.vertices) < 3:
         raise PartError(f"only {len(raw.vertices)} points", path=name)
-    bad = np.logical_not(np.isfinite(raw.vertices).all(axis=1))
-    if bad.any():
-        raise PartError(f"{int(bad.sum())} of {len(raw.vertices)} points are not finite numbers", path=name)
-    R = _upright(up, name)
-    mesh = raw if len(raw.triangles) == 0 else None
-    vertices, triangles, repairs, closed = (
-        (raw.vertices, raw.triangles, [], False)
-        if mesh is not None
-        else repaired(raw.vertices, raw.triangles, name)
-    )
-    scaled = vertices @ R.T * UNITS[units]
-    _check_size(scaled, units, name)
-    low, high = scaled.min(axis=0), scaled.max(axis=0)
-    shift = (
-        -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
-        if place == "centre"
-        else np.zeros(3)
-    )
-    if place == "keep" and not -0.02 <= low[2] <= 0.5:
-        raise PartError(
-            f"its lowest point is at z = {low[2] * 1e3:.0f} mm, not on the table; use --place centre",
-            path=name,
-        )
+    R = upright(up, name)
+    made: Mended | MendedCloud
+    if len(raw.triangles):
+        made = mended(raw.vertices, raw.triangles, step=raw.step, up=R[2], path=name)
+    else:
+        made = mended_cloud(raw.vertices, raw.normals, up=R[2], path=name)
+    points = made.vertices if isinstance(made, Mended) else made.points
+    check_steps(points, raw.step, name)
+    unit, units_from = unit_of(raw, units, points, guess=guess)
+    scaled = points @ R.T * UNITS[unit]
+    check_size(scaled, unit, name)
+    shift = _shift(scaled, place, name)
     X_OI = np.eye(4)
-    X_OI[:3, :3], X_OI[:3, 3] = R * UNITS[units], shift
-    normals = None
-    if raw.normals is not None and mesh is not None and np.isfinite(raw.normals).all():
-        lengths = np.linalg.norm(raw.normals, axis=1, keepdims=True)
-        normals = raw.normals / lengths @ R.T if (lengths > 1e-6).all() else None
+    X_OI[:3, :3], X_OI[:3, 3] = R * UNITS[unit], shift
+    normals = made.normals if isinstance(made, MendedCloud) else None
     return Part(
-        name=Path(path).stem, vertices=scaled + shift, triangles=triangles, normals=normals,
-        X_OI=X_OI, closed=closed, repairs=tuple(repairs),
+        name=Path(name).stem, vertices=scaled + shift,
+        triangles=made.triangles if isinstance(made, Mended) else raw.triangles,
+        normals=None if normals is None else normals @ R.T, X_OI=X_OI,
+        closed=isinstance(made, Mended) and made.closed,
+        repairs=(*made.changes, *made.warnings) if isinstance(made, Mended) else made.changes,
+        report=report_of(raw, made, name, unit, units_from, np.ptp(scaled, axis=0)),
     )  # fmt: skip
 
 
-def _upright(up: str, path: str) -> np.ndarray:
-    """Rotation that turns the file's `up` axis to +z; the two others keep their cyclic order."""
-    if len(up) != 2 or up[0] not in "+-" or up[1] not in _AXES:
-        raise PartError(f"unknown up axis {up!r}; known: +x, -x, +y, -y, +z, -z", path=path)
-    z = np.zeros(3)
-    z[_AXES[up[1]]] = 1.0 if up[0] == "+" else -1.0
-    x = np.roll(np.abs(z), 1)
-    return np.stack([x, np.cross(z, x), z])
-
-
-def _check_size(vertices: np.ndarray, units: str, path: str) -> None:
-    largest = float(np.ptp(vertices, axis=0).max())
-    if largest < 0.01:
+def _shift(scaled: np.ndarray, place: str, path: str) -> np.ndarray:
+    """What brings points in metres, z up, to their place on the table, shape (3,)."""
+    low, high = scaled.min(axis=0), scaled.max(axis=0)
+    if place == "centre":
+        return -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+    if not -0.02 <= low[2] <= 0.5:
         raise PartError(
-            f"is only {largest * 1e3:.3g} mm large in unit {units!r}; try another --units (mm, cm, m, in)",
+            f"its lowest point is at z = {low[2] * 1e3:.0f} mm, not on the table; use --place centre",
             path=path,
         )
-    if largest > 20.0:
-        raise PartError(
-            f"is {largest:.3g} m large in unit {units!r}; try another --units (mm, cm, m, in)", path=path
-        )
-    centred = vertices - vertices.mean(axis=0)
-    if np.linalg.matrix_rank(centred.T @ centred, tol=1e-12 * largest**2 * len(vertices)) < 2:
-        raise PartError("all points lie on one line", path=path)
+    return np.zeros(3)
 
 
 def check_fits(part: Part, table_radius: float, max_height: float) -> None:
@@ -152,119 +139,9 @@ def check_fits(part: Part, table_radius: float, max_height: float) -> None:
         raise PartError(f"is {part.extent[2] * 1e3:.0f} mm tall, the cell takes {max_height * 1e3:.0f} mm")
 
 
-def repaired(
-    vertices: np.ndarray, triangles: np.ndarray, path: str = ""
-) -> tuple[np.ndarray, np.ndarray, list[str], bool]:
-    """Merges, drops and turns what is plainly broken in a mesh, and says so.
-
-    Returns:
-        vertices, triangles, one sentence for each repair, and whether the result is watertight.
-
-    Raises:
-        PartError: nothing of a surface is left.
-    """
-    repairs: list[str] = []
-    n = len(vertices)
-    size = float(np.ptp(vertices, axis=0).max())
-    _, first, inverse = np.unique(
-        np.round(vertices / max(size, 1e-300) * 1e9).astype(np.int64),
-        axis=0,
-        return_index=True,
-        return_inverse=True,
-    )
-    order = np.sort(first)
-    rank = np.empty(n, np.int64)
-    rank[order] = np.arange(len(order))
-    vertices, triangles = vertices[order], rank[first[inverse.ravel()]][triangles]
-    if len(order) < n:
-        repairs.append(f"{n - len(order)} duplicate vertices were merged")
-    a, b, c = triangles.T
-    cross = np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a])
-    keep = (a != b) & (b != c) & (c != a) & (np.linalg.norm(cross, axis=1) > 1e-16 * size * size)
-    if not keep.all():
-        repairs.append(f"{int((~keep).sum())} degenerate triangles were dropped")
-        triangles = triangles[keep]
-    _, unique = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
-    if len(unique) < len(triangles):
-        repairs.append(f"{len(triangles) - len(unique)} duplicate triangles were dropped")
-        triangles = triangles[np.sort(unique)]
-    if len(triangles) == 0:
-        raise PartError("no triangle of positive area", path=path)
-    triangles, edge_repairs, closed = _oriented(vertices, triangles)
-    used = np.unique(triangles)
-    if len(used) < len(vertices):
-        rank = np.full(len(vertices), -1, np.int64)
-        rank[used] = np.arange(len(used))
-        repairs.append(f"{len(vertices) - len(used)} vertices without a triangle were dropped")
-        vertices, triangles = vertices[used], rank[triangles]
-    return vertices, triangles, repairs + edge_repairs, closed
-
-
-def _oriented(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, list[str], bool]:
-    """Makes neighbouring triangles agree, turns inside-out components, and tests for open or shared edges."""
-    repairs: list[str] = []
-    m = len(triangles)
-    directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    face = np.tile(np.arange(m), 3)
-    forward = directed[:, 0] < directed[:, 1]
-    _, edge, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    edge = edge.ravel()
-    if (count > 2).any():
-        repairs.append(
-            f"{int((count > 2).sum())} edges are shared by more than two triangles (left as they are)"
-        )
-    order = np.argsort(edge, kind="stable")
-    pair = order[np.isin(edge[order], np.flatnonzero(count == 2))].reshape(-1, 2)
-    f, g = face[pair[:, 0]], face[pair[:, 1]]
-    disagree = forward[pair[:, 0]] == forward[pair[:, 1]]
-    flip, component = _flips(m, f, g, disagree)
-    triangles = triangles.copy()
-    triangles[flip] = triangles[flip][:, ::-1]
-    if flip.any():
-        repairs.append(f"{int(flip.sum())} triangles were turned to agree with their neighbours")
-    a, b, c = (vertices[triangles[:, i]] - vertices.mean(axis=0) for i in range(3))
-    volume = np.bincount(component, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6)
-    # An inner wall (a cavity) of a closed solid has negative volume rightly: only the largest shell decides.
-    largest = int(np.argmax(np.abs(volume)))
-    if volume[largest] < 0:
-        triangles = triangles[:, ::-1].copy()
-        repairs.append("the surface was inside out and was turned")
-    if (count == 1).any():
-        repairs.append(f"the surface is open: {int((count == 1).sum())} boundary edges")
-    return triangles, repairs, not (count != 2).any()
-
-
-def _flips(m: int, f: np.ndarray, g: np.ndarray, disagree: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which triangles to turn so that neighbours agree, and the component of each triangle.
-
-    A breadth-first tree over the face graph carries the parity; where no neighbours disagree nothing is done.
-    """
-    graph = coo_array(
-        (np.ones(2 * len(f)), (np.concatenate([f, g]), np.concatenate([g, f]))), shape=(m, m)
-    ).tocsr()
-    _, component = connected_components(graph, directed=False)
-    flip = np.zeros(m, bool)
-    if not disagree.any():
-        return flip, component
-    # Doubled graph: node i is "kept", node i + m is "turned"; agreeing neighbours join like with like.
-    d = disagree
-    rows = np.concatenate([f, f + m])
-    cols = np.concatenate([np.where(d, g + m, g), np.where(d, g, g + m)])
-    double = coo_array((np.ones(len(rows)), (rows, cols)), shape=(2 * m, 2 * m)).tocsr()
-    _, label = connected_components(double, directed=False)
-    root = np.full(component.max() + 1, -1, np.int64)
-    first = np.unique(component, return_index=True)[1]
-    root[component[first]] = label[first]
-    flip = label[:m] != root[component]
-    # The smaller side of each component is turned, so that a lone inverted triangle is what changes.
-    turned = np.bincount(component, weights=flip)
-    total = np.bincount(component)
-    return np.where((turned > total / 2)[component], ~flip, flip), component
-
-
 def carving() -> Part:
     """The built-in part: a carving of 600 x 330 x 200 mm, made by models/parts/carving.py."""
-    return replace(part_from_file(models_dir() / "parts" / "carving.ply"), name="carving")
+    return replace(part_from_file(models_dir() / "parts" / "carving.ply"), name="carving", report=None)
 
 
 def models_dir() -> Path:

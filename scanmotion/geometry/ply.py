@@ -6,6 +6,9 @@ import numpy as np
 
 from scanmotion.core.errors import InputError
 
+_FAR = 200.0
+"""Beyond so many times their extent from the origin, coordinates are written in double precision."""
+
 
 def write_ply(
     path: Path, points: np.ndarray, *, normals: np.ndarray | None = None, colors: np.ndarray | None = None,
@@ -21,7 +24,7 @@ def ply_data(
     points: np.ndarray, *, normals: np.ndarray | None = None, colors: np.ndarray | None = None,
     quality: np.ndarray | None = None, triangles: np.ndarray | None = None,
 ) -> bytes:  # fmt: skip
-    """A binary little-endian PLY in single precision.
+    """A binary little-endian PLY in single precision; in double where that would lose the surface.
 
     Args:
         points: shape (n, 3).
@@ -30,7 +33,10 @@ def ply_data(
         quality: shape (n,).
         triangles: shape (t, 3).
     """
-    fields = [("x", "f4"), ("y", "f4"), ("z", "f4")]
+    # Far from the origin (UTM) single precision would lose the surface.
+    far = len(points) and np.abs(points).max() > _FAR * max(float(np.ptp(points, axis=0).max()), 1e-300)
+    place = "f8" if far else "f4"
+    fields = [("x", place), ("y", place), ("z", place)]
     fields += [("nx", "f4"), ("ny", "f4"), ("nz", "f4")] if normals is not None else []
     fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")] if colors is not None else []
     fields += [("quality", "f4")] if quality is not None else []
@@ -41,7 +47,7 @@ def ply_data(
     ):  # fmt: skip
         for a, name in enumerate(names if values is not None else ()):
             table[name] = values[:, a]  # pyright: ignore[reportOptionalSubscript]
-    kinds = {"f4": "float", "u1": "uchar"}
+    kinds = {"f4": "float", "f8": "double", "u1": "uchar"}
     lines = ["ply", "format binary_little_endian 1.0", "comment scanmotion", f"element vertex {len(points)}"]
     lines += [f"property {kinds[t]} {n}" for n, t in fields]
     faces = np.zeros(0 if triangles is None else len(triangles), np.dtype([("k", "u1"), ("v", "<i4", (3,))]))

@@ -52,6 +52,25 @@ class LoadedPlan:
         return self.segments[-1].seen if self.samples is not None and self.segments else None
 
 
+def cell_of(folder: Path, record: PlanRecord) -> tuple[Part, Cell]:
+    """The part and the cell of a plan's folder.
+
+    Raises:
+        PlanFileError: a file is missing or not what it says.
+    """
+    try:
+        settings = settings_from(read_json(folder, record.cell_file), folder=str(folder))
+        if settings.robot.model.endswith(".urdf"):
+            own = settings.robot.model_copy(update={"model": record.urdf_file})
+            settings = settings.model_copy(update={"robot": own})
+        solid = _part(folder, record)
+        return solid, build_cell(settings, solid)
+    except PlanFileError:
+        raise
+    except ScanMotionError as error:
+        raise PlanFileError(f"{folder}: {error}") from None
+
+
 def load_plan(folder: str | Path) -> LoadedPlan:
     """Reads a plan folder.
 
@@ -61,17 +80,7 @@ def load_plan(folder: str | Path) -> LoadedPlan:
     folder = Path(folder)
     record = read_plan(folder)
     summary = read_summary(folder)
-    try:
-        settings = settings_from(read_json(folder, record.cell_file), folder=str(folder))
-        if settings.robot.model.endswith(".urdf"):
-            own = settings.robot.model_copy(update={"model": record.urdf_file})
-            settings = settings.model_copy(update={"robot": own})
-        solid = _part(folder, record)
-        cell = build_cell(settings, solid)
-    except PlanFileError:
-        raise
-    except ScanMotionError as error:
-        raise PlanFileError(f"{folder}: {error}") from None
+    solid, cell = cell_of(folder, record)
     steps = [r["step"] for r in summary["rounds"]]
     arrays = read_arrays(folder, len(steps))
     seen = arrays.get("seen", np.zeros((0, 0), bool))
@@ -85,7 +94,7 @@ def load_plan(folder: str | Path) -> LoadedPlan:
         options=SimpleNamespace(
             seed=record.seed, mode=record.mode, strategy=record.strategy, source=record.source
         ),
-        viewpoints=tuple(_viewpoint(v) for v in record.viewpoints),
+        viewpoints=tuple(viewpoint_of(v) for v in record.viewpoints),
         unreachable=tuple(
             (u["id"], u["reason"]) for u in summary["viewpoints"]["unreachable"]
         ),
@@ -110,7 +119,8 @@ def _part(folder: Path, record: PlanRecord) -> Part:
     return Part(name=record.part, vertices=raw.vertices, triangles=raw.triangles)
 
 
-def _viewpoint(v: ViewpointRecord) -> Viewpoint:
+def viewpoint_of(v: ViewpointRecord) -> Viewpoint:
+    """A viewpoint of plan.json."""
     return Viewpoint(
         id=v.id, X_OS=np.array(v.X_OS), standoff=v.standoff_m, step=v.step, kind=v.kind, sweep=v.sweep,
         slack=Slack(standoff=v.slack_standoff_m, tilt=v.slack_tilt_rad, roll=v.slack_roll), note=v.note,

@@ -17,7 +17,14 @@ from scanmotion.sensing.registration import Registration
 from scanmotion.sensing.scan_files import cloud_data, scan_data
 from scanmotion.sensing.simulator.simulate import Scan
 
-__all__ = ["calibration_record", "millimetres", "registration_records", "scan_files", "surface_record"]
+__all__ = [
+    "calibration_record",
+    "constants_by_name",
+    "millimetres",
+    "registration_records",
+    "scan_files",
+    "surface_record",
+]
 
 _SAMPLES = 100_000
 """Samples, uniform by area, at which a reconstructed surface is assessed."""
@@ -36,10 +43,11 @@ def calibration_record(corrections: Corrections | None) -> dict[str, Any] | None
     found = corrections.calibration
     e = asdict(found.errors)
     values = [*e["hand_eye_m"], *e["hand_eye_rad"], *e["axis_m"], *e["axis_rad"], e["backlash_rad"]]
+    values.append(e["latency_s"])
     return {
         "applied": corrections.applied,
-        "estimated": _by_name(values),
-        "sd": _by_name(found.sd),
+        "estimated": constants_by_name(values),
+        "sd": constants_by_name(found.sd),
         "undetermined": _undetermined(found),
         "disagreement_mm": {
             "before": round(found.rms_before * 1e3, 5), "after": round(found.rms_after * 1e3, 5),
@@ -49,7 +57,7 @@ def calibration_record(corrections: Corrections | None) -> dict[str, Any] | None
     }  # fmt: skip
 
 
-def _by_name(values: Sequence[float] | np.ndarray) -> dict[str, Any]:
+def constants_by_name(values: Sequence[float] | np.ndarray) -> dict[str, Any]:
     """The unknowns of calibration in the keys of the cell's section `twin`."""
     v = np.asarray(values, float)
     deg, mm = np.rad2deg(v), v * 1e3
@@ -60,11 +68,13 @@ def _by_name(values: Sequence[float] | np.ndarray) -> dict[str, Any]:
     return {
         "hand_eye_mm": told(mm[:3]), "hand_eye_deg": told(deg[3:6]), "axis_mm": told(mm[6:8]),
         "axis_deg": told(deg[8:10]), "backlash_deg": round(float(deg[10]), 6),
+        "latency_ms": round(float(mm[11]), 6),
     }  # fmt: skip
 
 
 def _undetermined(found: Calibration) -> list[str]:
-    return [name for name, known in zip(PARAMETERS, found.known, strict=True) if not known]
+    every = zip(PARAMETERS, found.known, found.asked, strict=True)
+    return [name for name, known, asked in every if asked and not known]
 
 
 def registration_records(corrections: Corrections | None) -> list[dict[str, Any]]:

@@ -73,7 +73,7 @@ class OperationRecord(_Record):
     """One operation of the trajectory."""
 
     index: int = Field(ge=0)
-    kind: Literal["transit", "revolution", "sweep", "dwell", "helix"]
+    kind: Literal["transit", "revolution", "sweep", "dwell", "helix", "path"]
     viewpoints: tuple[str, ...]
     t_start: float = Field(ge=0)
     t_end: float = Field(ge=0)
@@ -153,22 +153,23 @@ class PlanRecord(_Record):
         return name
 
 
-def atomic_folder(target: str | Path, files: Mapping[str, bytes | str]) -> Path:
+def atomic_folder(target: str | Path, files: Mapping[str, bytes | str], *, mark: str = "plan.json") -> Path:
     """Writes a folder of files so that a killed run leaves the old folder or the new one, never a mixture.
 
     Args:
         target: a new folder, an empty one, or a plan's folder, which is replaced.
         files: contents by plain file name.
+        mark: name of the file by which a folder that may be replaced is known.
 
     Raises:
-        PlanFileError: the folder cannot be written, or holds what is not a plan.
+        PlanFileError: the folder cannot be written, or holds what is not such a folder.
     """
     target = Path(os.path.realpath(target))
     for name in files:
         if not _PLAIN_NAME.fullmatch(name):
             raise PlanFileError(f"{name!r} is not a plain file name")
     try:
-        if target.exists() and not (target.is_dir() and _replaceable(target)):
+        if target.exists() and not (target.is_dir() and _replaceable(target, mark)):
             raise PlanFileError(f"{target}: holds something that is not a plan; it is left as it is")
         target.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
@@ -188,8 +189,8 @@ def atomic_folder(target: str | Path, files: Mapping[str, bytes | str]) -> Path:
     return target
 
 
-def _replaceable(folder: Path) -> bool:
-    return (folder / "plan.json").is_file() or not any(folder.iterdir())
+def _replaceable(folder: Path, mark: str) -> bool:
+    return (folder / mark).is_file() or not any(folder.iterdir())
 
 
 def _take_place(fresh: Path, target: Path, old: Path) -> None:

@@ -105,6 +105,21 @@ class _Helix(_Open):
     note: str
 
 
+class _Read(_Open):
+    file: str
+    format: str
+    points: Count
+    triangles: Count
+    size_mm: Triple
+    units: str
+    units_from: str
+    columns: list[str]
+    bodies: Count
+    specks: Count
+    changes: list[str]
+    warnings: list[str]
+
+
 class _Summary(_Open):
     viewpoints: _Viewpoints
     completeness: _Completeness
@@ -118,6 +133,7 @@ class _Summary(_Open):
     helix: _Helix | None = None
     findings: list[str | dict[str, Any]]
     planning_s: dict[str, Real]
+    read: _Read | None = None
 
 
 class _Hole(_Open):

@@ -9,6 +9,8 @@ from scanmotion.cell.build import Cell, build_cell, check_room
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.settings import CellSettings
+from scanmotion.cell.table_of import table_of
+from scanmotion.cell.view_costs import view_costs
 from scanmotion.core.errors import PartError
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.scanner import Scanner
@@ -94,7 +96,7 @@ class Simulator:
         why = open_surface(
             self.scene, self.scanner, open_, can_be_seen[left],
             solid=self.part.vertices, reachable=reachable,
-            table_radius=self.surroundings.table_radius, table_z=self.surroundings.table_z,
+            table=self.surroundings.table,
         )  # fmt: skip
         out_of_reach = np.zeros(len(seen), bool)
         out_of_reach[left] = why == CANNOT_BE_REACHED
@@ -154,11 +156,7 @@ def context_from(part: Part, settings: CellSettings, options: PlanOptions, progr
         CellError: an obstacle stands where the table turns.
     """
     watch = Stopwatch()
-    surroundings = Surroundings(
-        table_radius=settings.turntable.diameter_m / 2,
-        table_z=-settings.pedestal.height_m,
-        pedestal_radius=settings.pedestal.diameter_m / 2,
-    )
+    surroundings = Surroundings(table=table_of(settings), costs=view_costs(settings))
     check_fits(part, settings.turntable.diameter_m / 2, settings.process.max_height_m)
     if options.source == "mesh" and not part.is_mesh:
         raise PartError(f"{part.name}: a point cloud cannot be scanned by the twin; give it as a scan")
@@ -200,7 +198,7 @@ def _simulator(
         part=part, cell=cell, scanner=cell.settings.scanner_model(), surroundings=surroundings,
         errors=errors, stride=options.stride, samples=surface_samples(part, options.samples, rng=rng),
         scene=scene_from(
-            part.vertices, part.triangles, table_radius=surroundings.table_radius,
-            table_z=surroundings.table_z, pedestal_radius=surroundings.pedestal_radius,
+            part.vertices, part.triangles, table_radius=surroundings.table.radius,
+            table_z=surroundings.table.z, pedestal_radius=surroundings.table.pedestal_radius,
         ),
     )  # fmt: skip

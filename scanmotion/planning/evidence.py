@@ -12,6 +12,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.table import TableGeometry
+from scanmotion.core.view_costs import ViewCosts
 from scanmotion.sensing.closed_surface import ClosedModel
 from scanmotion.sensing.free_space import Space
 from scanmotion.sensing.fusion.fuse import Cloud
@@ -34,12 +36,8 @@ _SAME_PLACE, _SAME_DIRECTION = 0.06, np.deg2rad(12.0)
 class Surroundings:
     """What local viewpoints must know of the cell, in O."""
 
-    table_radius: float
-    """[m]"""
-    table_z: float
-    """Height of the table's top [m]."""
-    pedestal_radius: float
-    """[m]"""
+    table: TableGeometry
+    costs: ViewCosts
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,7 +95,7 @@ def no_evidence(scanner: Scanner, surroundings: Surroundings, *, spacing: float,
         spacing: of the cloud's points, and edge of the space's cells [m].
         stride: of the images: every stride-th pixel of the scanner's.
     """
-    space = Space(scanner, edge=spacing, stride=stride, table_z=surroundings.table_z)
+    space = Space(scanner, edge=spacing, stride=stride, table_z=surroundings.table.z)
     return Evidence(scanner=scanner, surroundings=surroundings, spacing=spacing, space=space)
 
 
@@ -148,9 +146,8 @@ def next_views(
         model=known.model,
         seconds=seconds,
         options=SelectOptions(least_rate=rate, wary=known.wary if known.frames else _WARY_OF_FILES),
-        table_radius=known.surroundings.table_radius,
-        table_z=known.surroundings.table_z,
-        pedestal_radius=known.surroundings.pedestal_radius,
+        table=known.surroundings.table,
+        costs=known.surroundings.costs,
         reachable=None if reachable is None else lambda X: reachable(X) & known.untried(X),
         explain=explain,
         rng=rng,

@@ -1,7 +1,6 @@
 """Plan: all that planning found, its summary, and its folder on disk."""
 
 import functools
-import io
 import json
 import tempfile
 from collections.abc import Mapping
@@ -16,7 +15,7 @@ from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.last_word import LastWord
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part, SurfaceSamples
-from scanmotion.core.trajectory import Trajectory
+from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.judge import Finding, verify
 from scanmotion.plan_io.frames import frame_files
@@ -29,8 +28,10 @@ from scanmotion.plan_io.measured import (
 )
 from scanmotion.plan_io.schema import PlanRecord, atomic_folder, csv_text, json_text, trajectory_json
 from scanmotion.planning.budget import budget_record, coverage_of
+from scanmotion.planning.confidence import Confidence
 from scanmotion.planning.helices import MOST_LOST, Joining
 from scanmotion.planning.options import PlanOptions
+from scanmotion.planning.plan_arrays import arrays_data, hole_records
 from scanmotion.planning.segment import Segment
 from scanmotion.sensing.assess import Accuracy, accuracy
 from scanmotion.sensing.corrections import Corrections
@@ -39,6 +40,9 @@ from scanmotion.sensing.fusion.surface import surface
 from scanmotion.sensing.holes.find import HoleReport
 from scanmotion.sensing.simulator.simulate import Scan
 from scanmotion.views.unscanned import Patch
+
+_WORK = {"revolution": "table", "helix": "table", "path": "table", "sweep": "sweep", "dwell": "dwell"}
+"""What each kind of scanning operation counts as in `time_s`."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,7 +54,7 @@ class Plan:
     options: PlanOptions
     segments: tuple[Segment, ...]
     trajectory: Trajectory | None
-    """None where nothing could be planned."""
+    """Of the scan; None where nothing could be planned."""
     cloud: Cloud | None
     """The fused scan: simulated, or the measured one."""
     holes: HoleReport | None
@@ -58,6 +62,8 @@ class Plan:
     samples: SurfaceSamples | None
     visible: np.ndarray | None
     """Which samples any allowed scanner pose can see, shape (n,)."""
+    confidence: Confidence | None = None
+    """Intervals of predicted coverage and accuracy; None where the simulator knows no truth."""
     searched: tuple[Segment, ...] = ()
     """The segments as they were found, where pruning has made others of them since."""
     out_of_reach: np.ndarray | None = None
@@ -73,6 +79,11 @@ class Plan:
     """Calibration and registration, where there were any."""
     joining: Joining | None = None
     """What came of joining turns, where that was allowed."""
+    way_home: Trajectory | None = None
+    """From the end of the scan back to its start; None where it ends there, or `no_way_home` says why."""
+    no_way_home: str = ""
+    motion: Mapping[str, Any] | None = None
+    """The continuous motion, as the summary tells it; None for stops."""
     last_word: LastWord | None = None
     """What Drake says of the whole motion; None where nothing moves."""
 
@@ -95,6 +106,12 @@ class Plan:
     def solvers(self) -> dict[str, str]:
         """Which solver found the pose of each viewpoint that is served, by id; "" where it was given."""
         return {v: solver for item in self.segments for v, solver in item.solvers.items()}
+
+    @property
+    def cycle(self) -> Trajectory | None:
+        """The scan and the way home: what is written, judged, exported and driven."""
+        scan, home = self.trajectory, self.way_home
+        return scan if scan is None or home is None else joined(scan, home)
 
     def completeness(self) -> dict[str, float | None]:
         """Shares after the global step and at the end, of what can be seen; and of the whole surface."""
@@ -143,15 +160,16 @@ class Plan:
         return found
 
     def time_s(self) -> dict[str, float]:
-        """Seconds in total, by kind of work, and the proven floor."""
+        """Seconds of the scan in total and by kind of work, its floor, and of the cycle with the way home."""
         split = {"arm": 0.0, "table": 0.0, "sweep": 0.0, "dwell": 0.0}
         for o in self.trajectory.operations if self.trajectory is not None else ():
             arm_moves = np.abs(o.q_end[:6] - o.q_start[:6]).max() > 1e-9
-            key = {"revolution": "table", "helix": "table", "sweep": "sweep", "dwell": "dwell"}.get(o.kind)
+            key = _WORK.get(o.kind)
             split[key or ("arm" if arm_moves else "table")] += o.t_end - o.t_start
         total = self.trajectory.duration if self.trajectory is not None else 0.0
         floor = sum(r.tour.floor for r in self.segments)
-        return {k: float(v) for k, v in {"total": total, **split, "floor": floor}.items()}
+        found = {"total": total, **split, "floor": floor, "cycle": self.cycle.duration if self.cycle else 0.0}
+        return {k: float(v) for k, v in found.items()}
 
     def budget(self) -> dict[str, Any]:
         """The budget, what uses it up, and what a shorter programme would see."""
@@ -196,15 +214,19 @@ class Plan:
                 }
                 for p in self.unscanned
             ],
+            **({} if self.confidence is None else {"confidence": self.confidence.record()}),
             "accuracy": self.accuracies(),
             "calibration": calibration_record(self.corrections),
             "registration": registration_records(self.corrections),
             "time_s": {k: round(v, 3) for k, v in time_s.items()},
             "budget": self.budget(),
             **({} if self.joining is None else {"helix": joining_record(self.joining)}),
+            **({"no_way_home": self.no_way_home} if self.no_way_home else {}),
+            **({} if self.motion is None else {"motion": dict(self.motion)}),
             "findings": [str(f) for f in self.findings],
             **({} if self.last_word is None else {"drake": drake_record(self.last_word)}),
             "planning_s": {k: round(v, 2) for k, v in self.planning_s.items()},
+            **({} if self.part.report is None else {"read": self.part.report.record()}),
         }
         # What is told in memory is what stands on disk: plain numbers, no numpy scalars.
         return json.loads(json_text(told))
@@ -273,54 +295,22 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
     if plan.trajectory is None:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in plan.unreachable[:3])
         raise InputError(f"nothing could be planned: {reasons}")
-    solid = plan.cell.part
-    assert solid is not None
+    solid, cycle = plan.cell.part, plan.cycle
+    assert solid is not None and cycle is not None
     return {
         "plan.json": json_text(plan.record()),
-        "trajectory.csv": csv_text(plan.trajectory),
-        "trajectory.json": trajectory_json(plan.trajectory, plan.cell.joint_names),
+        "trajectory.csv": csv_text(cycle),
+        "trajectory.json": trajectory_json(cycle, plan.cell.joint_names),
         "robot.urdf": plan.cell.robot.record,
         **plan.cell.robot.meshes,
         "part.ply": ply_bytes(solid.vertices, solid.triangles),
         "cell.json": plan.cell.settings.model_dump_json(indent=1) + "\n",
-        "holes.json": json_text({"units": "m", "holes": _hole_records(plan)}),
-        "scan.npz": _arrays(plan),
+        "holes.json": json_text({"units": "m", "holes": hole_records(plan.holes)}),
+        "scan.npz": arrays_data(
+            plan.cloud, plan.samples, plan.visible, [item.seen for item in plan.segments]
+        ),
         **frame_files(plan.trajectory, plan.viewpoints, plan.cell),
     }
-
-
-def _hole_records(plan: Plan) -> list[dict[str, Any]]:
-    """The holes of the first scan, in metres in O."""
-    return [
-        {
-            "kind": h.kind, "boundary": np.round(h.boundary, 6).tolist(), "center": h.center.tolist(),
-            "normal": h.normal.tolist(), "X_OH": h.X_OH.tolist(), "extent": h.extent.tolist(),
-            "perimeter": h.perimeter, "area": h.area,
-        }
-        for h in (plan.holes.holes if plan.holes is not None else ())
-    ]  # fmt: skip
-
-
-def _arrays(plan: Plan) -> bytes:
-    """What pictures need: the fused cloud, and which surface samples were seen when."""
-    arrays: dict[str, np.ndarray] = {}
-    if plan.cloud is not None:
-        arrays |= {
-            "cloud": plan.cloud.points.astype(np.float32),
-            "normals": plan.cloud.normals.astype(np.float32),
-        }
-    if plan.samples is not None and plan.visible is not None:
-        arrays |= {
-            "samples": plan.samples.points.astype(np.float32),
-            "sample_normals": plan.samples.normals.astype(np.float32),
-            "visible": plan.visible,
-            "seen": np.stack([item.seen for item in plan.segments])
-            if plan.segments
-            else np.zeros((0, 0), bool),
-        }
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **arrays)
-    return buffer.getvalue()
 
 
 def ply_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
@@ -338,8 +328,8 @@ def ply_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
 def plan_record(plan: Plan) -> PlanRecord:
     """The plan in the schema of plan.json."""
     cell, process = plan.cell, plan.cell.settings.process
-    frames = {7: "flange", 8: "table", 9: "world"}
-    assert plan.trajectory is not None
+    frames, cycle = {7: "flange", 8: "table", 9: "world"}, plan.cycle
+    assert cycle is not None
 
     def finite(values: np.ndarray) -> list[float | None]:
         return [float(v) if np.isfinite(v) else None for v in values]
@@ -380,7 +370,7 @@ def plan_record(plan: Plan) -> PlanRecord:
                     "t_start": round(o.t_start, 6), "t_end": round(o.t_end, 6),
                     "q_start": o.q_start.tolist(), "q_end": o.q_end.tolist(),
                 }
-                for o in plan.trajectory.operations
+                for o in cycle.operations
             ],
         }
     )  # fmt: skip

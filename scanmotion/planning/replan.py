@@ -12,7 +12,6 @@ from scanmotion.core.tour import Stop, Tour
 from scanmotion.core.trajectory import Operation, Trajectory
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.motion.order.lower_bound import floor_seconds
-from scanmotion.motion.reach.find import Reach
 from scanmotion.motion.transit_cost import move_model
 from scanmotion.plan_io.load import LoadedPlan, load_plan
 from scanmotion.plan_io.summary import read_cloud
@@ -20,7 +19,7 @@ from scanmotion.planning.context import Context, context_from
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.pipeline import plan_from
 from scanmotion.planning.plan import Plan
-from scanmotion.planning.segment import Progress, Segment, silent
+from scanmotion.planning.segment import Progress, Segment, served_at, silent
 from scanmotion.planning.state import PlanState, begin, extend, with_segment
 from scanmotion.sensing.fusion.fuse import Cloud
 
@@ -132,13 +131,13 @@ def _with_executed(
         last = first
         while last + 1 < len(finished) and steps[last + 1] == steps[first]:
             last += 1
-        segment = _executed(ctx, _piece(old.trajectory, first, last), views, steps[first])
+        segment = _executed(ctx, piece_of(old.trajectory, first, last), views, steps[first])
         state = with_segment(ctx, state, segment, np.random.default_rng([ctx.options.seed, first, last]))
         first = last + 1
     return state
 
 
-def _piece(whole: Trajectory, first: int, last: int) -> Trajectory:
+def piece_of(whole: Trajectory, first: int, last: int) -> Trajectory:
     """The operations first..last by themselves, from time 0."""
     rows = np.flatnonzero((whole.operation >= first) & (whole.operation <= last))
     # A shared instant belongs to the earlier operation.
@@ -170,8 +169,8 @@ def _executed(ctx: Context, piece: Trajectory, views: dict[str, Viewpoint], step
         floor=floor_seconds(ctx.cell, model, piece.q[0], stops, views),
     )  # fmt: skip
     return Segment(
-        step=step, reaches=tuple(_reach(views[v], q[None]) for v, q in served.items()), tour=tour, paths=(),
-        trajectory=piece, unreachable=(), seen=np.zeros(0, bool),
+        step=step, reaches=tuple(served_at(views[v], q[None]) for v, q in served.items()), tour=tour,
+        paths=(), trajectory=piece, unreachable=(), seen=np.zeros(0, bool),
     )  # fmt: skip
 
 
@@ -179,7 +178,7 @@ def _with_lost(segment: Segment, lost: Sequence[Viewpoint], reasons: dict[str, s
     """The segment with viewpoints that nothing serves, each with its reason."""
     return replace(
         segment,
-        reaches=segment.reaches + tuple(_reach(v, np.zeros((0, 7))) for v in lost),
+        reaches=segment.reaches + tuple(served_at(v, np.zeros((0, 7))) for v in lost),
         unreachable=segment.unreachable + tuple((v.id, reasons[v.id]) for v in lost),
     )
 
@@ -189,13 +188,4 @@ def _cloud(folder: Path) -> Cloud:
     points, normals = read_cloud(folder)
     return Cloud(
         points=points, normals=normals, view_directions=normals, counts=np.ones(len(points), np.int64)
-    )  # fmt: skip
-
-
-def _reach(viewpoint: Viewpoint, q: np.ndarray) -> Reach:
-    """A viewpoint with what is known of its configurations."""
-    k = len(q)
-    return Reach(
-        viewpoint=viewpoint, q=q, clearance=np.zeros(k), manipulability=np.zeros(k),
-        X_OS=np.tile(viewpoint.X_OS, (k, 1, 1)),
     )  # fmt: skip

@@ -197,6 +197,15 @@ def _dear(cell: Cell, tour: Tour, trajectory: Trajectory, worth: Mapping[str, fl
     return dear
 
 
+def served_at(viewpoint: Viewpoint, q: np.ndarray) -> Reach:
+    """A viewpoint with what is known of its configurations, shape (k, 7)."""
+    k = len(q)
+    return Reach(
+        viewpoint=viewpoint, q=q, clearance=np.zeros(k), manipulability=np.zeros(k),
+        X_OS=np.tile(viewpoint.X_OS, (k, 1, 1)),
+    )  # fmt: skip
+
+
 def renamed(viewpoints: Sequence[Viewpoint], prefix: str) -> tuple[Viewpoint, ...]:
     """The same viewpoints with `prefix` before their ids and sweeps, so that rounds do not collide."""
     return tuple(replace(v, id=prefix + v.id, sweep=prefix + v.sweep if v.sweep else "") for v in viewpoints)

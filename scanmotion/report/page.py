@@ -58,14 +58,24 @@ def report_html(plan: Any) -> str:
         _motion(plan, summary),
         _budget(summary["budget"]),
         _findings(summary),
+        _read(summary),
         _settings(plan, summary),
     ]
     body = "\n".join(s for s in sections if s)
-    title = f"scanmotion: {escape(plan.part.name)}"
+    return page(f"scanmotion: {plan.part.name}", body)
+
+
+def page(title: str, body: str) -> str:
+    """A whole HTML page in the house's style that may load nothing from anywhere.
+
+    Args:
+        title: plain text.
+        body: HTML.
+    """
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
-        f"<title>{title}</title><style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
+        f"<title>{escape(title)}</title><style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
     )
 
 
@@ -135,8 +145,14 @@ def _numbers(summary: dict[str, Any]) -> str:
         ("viewpoints", f"{summary['viewpoints']['global']} global, {summary['viewpoints']['local']} local"),
         ("left out", f"{left_out}"),
     ]
+    if summary.get("confidence"):
+        rows.insert(
+            1, ("how sure, under the uncertainty stated in the settings", summary["confidence"]["statement"])
+        )
     if "helix" in summary:
         rows.append(("turns of the global step", summary["helix"]["note"]))
+    if "motion" in summary:
+        rows += _motion_rows(summary["motion"])
     if done["final"] is None:
         return table((), rows)
     if reach.get("scanned") is not None:
@@ -147,6 +163,13 @@ def _numbers(summary: dict[str, Any]) -> str:
         '<p class="note">Completeness and accuracy are predicted by simulating the scanner with the noise '
         "stated in the settings below; the object itself has not been measured.</p>"
     )
+
+
+def _motion_rows(motion: dict[str, Any]) -> list[tuple[str, str]]:
+    """What came of the continuous motion, and what other ones that were found take and see."""
+    curve = ", ".join(f"{p['completeness']:.2%} in {p['seconds']:.1f} s" for p in motion.get("curve", ()))
+    rows = [("motion", motion["note"])]
+    return rows + ([("completeness against seconds", curve)] if len(motion.get("curve", ())) > 1 else [])
 
 
 def _coverage(plan: Any) -> str:
@@ -282,6 +305,21 @@ def _findings(summary: dict[str, Any]) -> str:
     lines = (f.get("message") or json.dumps(f) if isinstance(f, dict) else str(f) for f in found)
     items = "".join(f"<li>{escape(line)}</li>" for line in lines)
     return _section("Findings of the independent judge", f'<ul class="bad">{items}</ul>')
+
+
+def _read(summary: dict[str, Any]) -> str:
+    """What was read from the part's file, and what was changed; nothing for a box or the built-in part."""
+    read = summary.get("read")
+    if read is None:
+        return ""
+    size = " x ".join(f"{float(side):.4g}" for side in read["size_mm"])
+    what = f"{read['triangles']} triangles" if read["triangles"] else f"{read['points']} points"
+    rows = [("file", f"{read['file']}, {read['format']}"), ("holds", f"{what}, {size} mm")]
+    rows.append(("unit", f"{read['units']}, {read['units_from']}"))
+    rows.append(("bodies", f"{read['bodies']}; {read['specks']} specks were left out"))
+    rows += [("taken", text) for text in read["columns"]]
+    rows += [("changed", text) for text in read["changes"]] + [("note", text) for text in read["warnings"]]
+    return _section("What was read", table((), rows))
 
 
 def _settings(plan: Any, summary: dict[str, Any]) -> str:

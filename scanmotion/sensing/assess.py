@@ -130,6 +130,14 @@ def completeness_by_distance(
         distance: greatest distance of sample and point [m].
         angle: greatest angle between their normals [rad].
     """
+    covered = covered_samples(samples, points, normals, distance=distance, angle=angle)
+    return completeness(samples, covered, np.ones(len(covered), bool) if visible is None else visible)
+
+
+def covered_samples(
+    samples: SurfaceSamples, points: np.ndarray, normals: np.ndarray, *, distance: float, angle: float
+) -> np.ndarray:
+    """Which samples have a like-facing point near, shape (m,) bool; arguments as completeness_by_distance."""
     tree, covered = cKDTree(points), np.zeros(len(samples.points), bool)
     todo = np.arange(len(covered) if len(points) else 0)
     near = 8
@@ -143,4 +151,4 @@ def completeness_by_distance(
         # Only where all the points that were found are near and turned away can a farther one still count.
         todo = todo[~hit & np.isfinite(d).all(axis=1)] if near < len(points) else todo[:0]
         near *= 8
-    return completeness(samples, covered, np.ones(len(covered), bool) if visible is None else visible)
+    return covered

@@ -42,8 +42,9 @@ class Corrections:
 
 
 def corrected_scan(
-    scan: Scan, cloud: Cloud | None, known: Corrections, *, part: Part, voxel: float, index: int
-) -> tuple[Scan, Corrections]:
+    scan: Scan, cloud: Cloud | None, known: Corrections, *, part: Part, voxel: float, index: int,
+    latency: bool = False,
+) -> tuple[Scan, Corrections]:  # fmt: skip
     """The scan as calibration and registration have it, and what is known from then on.
 
     Args:
@@ -53,11 +54,12 @@ def corrected_scan(
         part: the true surface, from which distances are told.
         voxel: edge of the fused clouds' voxels [m].
         index: of the scan's segment.
+        latency: estimate it too, where the scan is calibrated.
     """
     if len(scan) == 0:
         return scan, known
     if cloud is None:
-        return _calibrated(scan, part, voxel)
+        return _calibrated(scan, part, voxel, latency)
     if known.calibration is not None and known.applied:
         scan = corrected(scan, known.calibration.errors)
     try:
@@ -68,12 +70,12 @@ def corrected_scan(
     return (moved(scan, found.X) if found.trusted else scan), known
 
 
-def _calibrated(scan: Scan, part: Part, voxel: float) -> tuple[Scan, Corrections]:
+def _calibrated(scan: Scan, part: Part, voxel: float, latency: bool) -> tuple[Scan, Corrections]:
     try:
-        found = calibrate([scan], points=_POINTS)
+        found = calibrate([scan], points=_POINTS, latency=latency)
     except InputError:
         return scan, Corrections()
-    applied = bool(found.known.all())
+    applied = found.determined
     better = corrected(scan, found.errors) if applied else scan
     before = accuracy(fuse([scan], voxel=voxel).points, part)
     after = accuracy(fuse([better], voxel=voxel).points, part) if applied else before

@@ -10,17 +10,22 @@ from zipfile import BadZipFile
 import numpy as np
 
 from scanmotion.core.errors import InputError
-from scanmotion.geometry.part_files import read_geometry
-from scanmotion.geometry.parts import UNITS
+from scanmotion.core.read_report import ReadReport
+from scanmotion.geometry.cloud_files import cloud_from_file
+from scanmotion.geometry.placing import UNITS
 from scanmotion.geometry.ply import ply_data, replaced, write_ply
 from scanmotion.sensing.fusion.fuse import Cloud, RawPoints, fuse_points
 from scanmotion.sensing.fusion.surface import surface as surface_of
-from scanmotion.sensing.holes.boundary import oriented_normals
 from scanmotion.sensing.registration import Registration, align
+from scanmotion.sensing.scan_sides import sides_of
 from scanmotion.sensing.simulator.captures import Captures
 from scanmotion.sensing.simulator.simulate import Scan
 
 POSE_FILE = "poses.json"
+_FAR_OFF = 20.0
+"""Beyond so many times its size from the origin a scan is computed about an origin of its own."""
+_LEAST = 50
+"""Points that a registration needs."""
 _FAR = 10.0
 """A scanner of unknown place is taken to stand this far off along its viewing direction [m]."""
 
@@ -36,6 +41,12 @@ class MeasuredScan:
     """Pose of the scan in O, shape (4, 4)."""
     towards: np.ndarray | None
     """Unit vector from the surface to the sensor in the scan's frame; None where not known."""
+    normals: np.ndarray | None = None
+    """Outward unit normals in the scan's frame, shape (n, 3); they count where `towards` is not known."""
+    said: str = ""
+    """How its sides are known."""
+    report: ReadReport | None = None
+    """What was read from its file."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,6 +57,8 @@ class Fused:
     registrations: tuple[Registration, ...]
     """One for each scan; empty where none was asked for."""
     names: tuple[str, ...]
+    sides: tuple[str, ...] = ()
+    """How the sides of each scan are known, one phrase each; "" where its pose says so."""
 
 
 def save_cloud(path: str | Path, cloud: Cloud) -> None:
@@ -58,7 +71,7 @@ def cloud_data(cloud: Cloud) -> bytes:
     return ply_data(cloud.points * 1e3, normals=cloud.normals, quality=cloud.counts.astype(float))
 
 
-_CAPTURES = ("t", "X_WS", "table_angle", "X_WT", "X_TO", "table_sense")
+_CAPTURES = ("t", "X_WS", "table_angle", "X_WT", "X_TO", "table_sense", "rates")
 
 
 def save_scan(path: str | Path, scan: Scan) -> None:
@@ -129,8 +142,9 @@ def _scan_from(path: Path, name: str, entry: object, unit: float) -> MeasuredSca
     X[:3, 3] *= unit
     view = _numbers(entry, "nominal_view_direction", (3,))
     towards = None if view is None else -X[:3, :3].T @ view / max(float(np.linalg.norm(view)), 1e-12)
-    points = read_geometry(path.parent / name).vertices * unit
-    return MeasuredScan(name=name, points=points[np.isfinite(points).all(axis=1)], X=X, towards=towards)
+    unit_name = next(key for key, metres in UNITS.items() if metres == unit)
+    file = cloud_from_file(path.parent / name, units=unit_name, any_size=True)
+    return MeasuredScan(name=name, points=file.points, X=X, towards=towards, normals=file.normals)
 
 
 def _numbers(entry: object, key: str, shape: tuple[int, ...]) -> np.ndarray | None:
@@ -140,6 +154,16 @@ def _numbers(entry: object, key: str, shape: tuple[int, ...]) -> np.ndarray | No
     except (KeyError, TypeError, ValueError):
         return None
     return value if value.shape == shape and np.isfinite(value).all() else None
+
+
+def scan_from_file(path: Path, units: str | None = None) -> MeasuredScan:
+    """A scan in the table's frame, its specks and the table's plane left out.
+
+    Raises:
+        PartError: the file cannot be used.
+    """
+    file = cloud_from_file(path, units=units, up=np.array([0.0, 0.0, 1.0]), any_size=True)
+    return MeasuredScan(name=path.name, points=file.points, X=np.eye(4), towards=None, normals=file.normals)
 
 
 def fuse_measured(
@@ -157,6 +181,8 @@ def fuse_measured(
     """
     tell = progress or (lambda stage, share: None)
     tell("read", 0.0)
+    origin = _local_origin(scans)
+    scans = _with_sides([_moved(s, -origin) for s in scans])
     found: tuple[Registration, ...] = ()
     if registered and len(scans) > 1:
         # Each scan by itself, in its own frame: its points thinned, with normals that face its sensor.
@@ -165,12 +191,61 @@ def fuse_measured(
             single.append(fuse_points(_raw([replace(s, X=np.eye(4))]), voxel=voxel))
             tell("normals", (i + 1) / len(scans))
         tell("register", 0.0)
-        found = align(single, start=np.stack([s.X for s in scans]), reach=reach)
+        found = _aligned(single, np.stack([s.X for s in scans]), reach)
         scans = [replace(s, X=r.X) if r.trusted else s for s, r in zip(scans, found, strict=True)]
     tell("fuse", 0.0)
     cloud = fuse_points(_raw(scans), voxel=voxel)
     tell("fuse", 1.0)
-    return Fused(cloud=cloud, registrations=found, names=tuple(s.name for s in scans))
+    if origin.any():
+        cloud = replace(cloud, points=cloud.points + origin, cells=None)
+    names, sides = tuple(s.name for s in scans), tuple(s.said for s in scans)
+    return Fused(cloud=cloud, registrations=found, names=names, sides=sides)
+
+
+def _local_origin(scans: Sequence[MeasuredScan]) -> np.ndarray:
+    """A round place near the first scan where that is far off (UTM); else the frame's own, shape (3,) [m]."""
+    s = scans[0]
+    middle = s.X[:3, :3] @ s.points.mean(axis=0) + s.X[:3, 3]
+    size = float(np.linalg.norm(np.ptp(s.points, axis=0)))
+    return np.round(middle) if np.linalg.norm(middle) > max(_FAR_OFF * size, 1.0) else np.zeros(3)
+
+
+def _moved(scan: MeasuredScan, by: np.ndarray) -> MeasuredScan:
+    X = scan.X.copy()
+    X[:3, 3] += by
+    return replace(scan, X=X)
+
+
+def _with_sides(scans: Sequence[MeasuredScan]) -> list[MeasuredScan]:
+    """The scans with normals, where no viewing direction is known."""
+    unknown = [s for s in scans if s.towards is None]
+    if not unknown:
+        return list(scans)
+    placed = [s.points @ s.X[:3, :3].T + s.X[:3, 3] for s in unknown]
+    known = [None if s.normals is None else s.normals @ s.X[:3, :3].T for s in unknown]
+    sides = iter(sides_of(placed, known))
+    out = []
+    for s in scans:
+        if s.towards is None:
+            side = next(sides)
+            s = replace(s, normals=side.normals @ s.X[:3, :3], said=side.said)
+        out.append(s)
+    return out
+
+
+def _aligned(clouds: list[Cloud], start: np.ndarray, reach: float) -> tuple[Registration, ...]:
+    """Registrations of all clouds; those too small to register stay, and say so."""
+    fit = [i for i, c in enumerate(clouds) if len(c) >= _LEAST or i == 0]
+    found = iter(align([clouds[i] for i in fit], start=start[fit], reach=reach) if len(fit) > 1 else ())
+    stays = {i: _not_registered(start[i], len(c)) for i, c in enumerate(clouds) if i not in fit}
+    return tuple(stays[i] if i in stays else next(found) for i in range(len(clouds))) if len(fit) > 1 else ()
+
+
+def _not_registered(X: np.ndarray, n: int) -> Registration:
+    return Registration(
+        X=X, fitness=0.0, rms=0.0, condition=np.inf, uncertainty=np.inf, shift=0.0, turn=0.0, trusted=False,
+        statement=f"not registered: its {n} points are too few; it stays where it is",
+    )  # fmt: skip
 
 
 def _raw(scans: Sequence[MeasuredScan]) -> RawPoints:
@@ -180,7 +255,8 @@ def _raw(scans: Sequence[MeasuredScan]) -> RawPoints:
         p = s.points @ s.X[:3, :3].T + s.X[:3, 3]
         first = len(cameras)
         if s.towards is None:
-            cameras += list(p + _FAR * oriented_normals(p))
+            assert s.normals is not None
+            cameras += list(p + _FAR * (s.normals @ s.X[:3, :3].T))
             frame.append(first + np.arange(len(p)))
         else:
             cameras.append(p.mean(axis=0) + _FAR * (s.X[:3, :3] @ s.towards))
@@ -237,8 +313,7 @@ def fuse_files(
         if file.is_dir() or file.suffix == ".json":
             scans += scans_from_poses(file / POSE_FILE if file.is_dir() else file)
         else:
-            points = read_geometry(file).vertices * UNITS[units]
-            scans.append(MeasuredScan(name=file.name, points=points, X=np.eye(4), towards=None))
+            scans.append(scan_from_file(file, units))
     fused = fuse_measured(scans, voxel=voxel, registered=align, progress=progress)
     lines = [f"{n}: {r.statement}" for n, r in zip(fused.names[1:], fused.registrations[1:], strict=False)]
     if surface:

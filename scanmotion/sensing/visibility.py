@@ -12,6 +12,8 @@ from scanmotion.geometry.jit import njit, prange
 _SKIN = 2e-4
 """Shadow rays start this far off the surface [m]."""
 _CHUNK = 400_000
+SURFACE = 0
+"""Open3D's number of the surface in a scene's raycaster; table and pedestal come after it."""
 GUESSED = 0.005
 """A guessed surface does not hide points closer behind it than this [m]."""
 
@@ -131,10 +133,17 @@ def in_view(scanner: Scanner, X_OS: np.ndarray, points: np.ndarray, normals: np.
         X_OS,
         np.ascontiguousarray(points, dtype=float),
         np.ascontiguousarray(normals, dtype=float),
-        np.array([np.tan(scanner.fov[0] / 2), np.tan(scanner.fov[1] / 2), *scanner.range]),
+        np.array(
+            [np.tan(scanner.fov[0] / 2), np.tan(scanner.fov[1] / 2), *scanner.range, _highlight(scanner)]
+        ),
         float(np.cos(scanner.max_incidence)),
         float(scanner.baseline),
     )
+
+
+def _highlight(scanner: Scanner) -> float:
+    """Least cosine of normal and half vector at which the reflection blinds; above 1 where it never does."""
+    return float(np.cos(scanner.mirror)) if scanner.mirror > 0 else 2.0
 
 
 @njit(cache=True, parallel=True)
@@ -167,10 +176,15 @@ def _in_view(X, points, normals, field, least, baseline, out):
         u, v, w = normals[j, 0], normals[j, 1], normals[j, 2]
         if -(u * x + v * y + w * z) < least * np.sqrt(x * x + y * y + z * z):
             continue
+        r, p, q, s = np.sqrt(x * x + y * y + z * z), x, y, z
         x -= baseline * X[0, 0]
         y -= baseline * X[1, 0]
         z -= baseline * X[2, 0]
         out[j] = -(u * x + v * y + w * z) >= least * np.sqrt(x * x + y * y + z * z)
+        if out[j] and field[4] <= 1.0:
+            t = np.sqrt(x * x + y * y + z * z)
+            p, q, s = p / r + x / t, q / r + y / t, s / r + z / t
+            out[j] = -(u * p + v * q + w * s) < field[4] * np.sqrt(p * p + q * q + s * s)
 
 
 def _unblocked(
@@ -183,6 +197,23 @@ def _unblocked(
     projector = camera[where] + scanner.baseline * X_OS[pose[where], :3, 0]
     ok[where] = free_lines(scene, points[where], projector)
     return ok
+
+
+def axis_depths(scene: Scene, X_OS: np.ndarray) -> np.ndarray:
+    """Distance along the optical axis of poses (n, 4, 4) to the surface, measured or guessed, shape (n,) [m].
+
+    Infinite where the axis meets the table or the pedestal first, or nothing.
+    """
+    X_OS = np.asarray(X_OS, dtype=float).reshape(-1, 4, 4)
+    rays = np.concatenate([X_OS[:, :3, 3], X_OS[:, :3, 2]], axis=1).astype(np.float32)
+    hits = scene.raycaster.cast_rays(rays)
+    depth = hits["t_hit"].numpy().astype(float)
+    surface = hits["geometry_ids"].numpy() == SURFACE
+    if scene.guess is not None:
+        guess = scene.guess.cast_rays(rays)["t_hit"].numpy().astype(float)
+        surface |= guess < depth
+        depth = np.minimum(depth, guess)
+    return np.where(surface, depth, np.inf)
 
 
 def sees(
@@ -345,49 +376,3 @@ def _visible_block(
             i, eye = i[turned], eye[turned]
             found[i[free_lines(scene, start[i], eye)]] = True
     return found
-
-
-def greedy_cover(
-    matrix: np.ndarray,
-    weights: np.ndarray,
-    *,
-    cost: np.ndarray | None = None,
-    target: float = 1.0,
-    max_views: int | None = None,
-) -> list[int]:
-    """Rows that together cover the columns: greedy by weight per cost, then without the redundant ones.
-
-    The greedy choice costs at most ln(m) + 1 times the least (Chvatal 1979, doi 10.1287/moor.4.3.233).
-
-    Args:
-        matrix: which row covers which column, shape (n, m), bool.
-        weights: of the columns, shape (m,), not negative.
-        cost: of the rows, shape (n,), positive; None for equal.
-        target: share of the coverable weight at which to stop.
-        max_views: most rows to take.
-    """
-    weights = np.asarray(weights, dtype=float)
-    cost = np.ones(len(matrix)) if cost is None else np.asarray(cost, dtype=float)
-    open_ = matrix.any(axis=0)
-    goal = target * weights[open_].sum() - 1e-12
-    covered, chosen, total = np.zeros(matrix.shape[1], bool), [], 0.0
-    while total < goal and (max_views is None or len(chosen) < max_views):
-        gain = matrix[:, ~covered] @ weights[~covered] / cost
-        best = int(np.argmax(gain))
-        if gain[best] <= 0:
-            break
-        chosen.append(best)
-        covered |= matrix[best]
-        total = float(weights[covered].sum())
-    return _pruned(matrix, weights, cost, chosen)
-
-
-def _pruned(matrix: np.ndarray, weights: np.ndarray, cost: np.ndarray, chosen: list[int]) -> list[int]:
-    """Drops, costliest first, every row whose columns the others cover."""
-    kept = list(chosen)
-    for row in sorted(chosen, key=lambda r: (-cost[r], -chosen.index(r))):
-        others = [r for r in kept if r != row]
-        alone = matrix[row] & ~matrix[others].any(axis=0) if others else matrix[row]
-        if not (weights[alone] > 0).any():
-            kept = others
-    return kept

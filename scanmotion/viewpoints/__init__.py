@@ -34,7 +34,7 @@ _HOMES = {
     "turns_see": "sensing.visibility",
     "revolution_poses": "sensing.visibility",
     "visible": "sensing.visibility",
-    "greedy_cover": "sensing.visibility",
+    "greedy_cover": "sensing.greedy_cover",
     "cad_slicing": "views.cad_slicing",
     "surface_partitioning": "views.surface_partitioning",
     "show": "report.viewpoint_scene:",
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from scanmotion.sensing.closed_surface import closed_model as closed_model
     from scanmotion.sensing.free_space import Frontier as Frontier
     from scanmotion.sensing.free_space import Space as Space
+    from scanmotion.sensing.greedy_cover import greedy_cover as greedy_cover
     from scanmotion.sensing.holes.boundary import boundary_points as boundary_points
     from scanmotion.sensing.holes.boundary import oriented_normals as oriented_normals
     from scanmotion.sensing.holes.find import Hole as Hole
@@ -59,7 +60,6 @@ if TYPE_CHECKING:
     from scanmotion.sensing.holes.find import holes_from_cloud as holes_from_cloud
     from scanmotion.sensing.holes.find import holes_from_mesh as holes_from_mesh
     from scanmotion.sensing.visibility import Scene as Scene
-    from scanmotion.sensing.visibility import greedy_cover as greedy_cover
     from scanmotion.sensing.visibility import revolution_poses as revolution_poses
     from scanmotion.sensing.visibility import scene_from as scene_from
     from scanmotion.sensing.visibility import seen_by_any as seen_by_any

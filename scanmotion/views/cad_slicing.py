@@ -19,14 +19,14 @@ _OVERLAP = 0.10
 
 
 def cad_slicing(
-    part: Part, scanner: Scanner, *, standoff: float = 0.7, table_z: float = 0.0
+    part: Part, scanner: Scanner, *, standoff: float | None = None, table_z: float = 0.0
 ) -> tuple[Viewpoint, ...]:
     """Views along the offset of each band's convex profile, at most a field's width apart.
 
     Args:
         part: the true mesh.
         scanner: field of view; its long side stands upright and sets the bands.
-        standoff: from the profile [m].
+        standoff: from the profile [m]; None for the middle of the range.
         table_z: height of the table's top; views below it are left out.
 
     Raises:
@@ -34,6 +34,7 @@ def cad_slicing(
     """
     if not part.is_mesh:
         raise PartError("CAD slicing needs the true mesh")
+    standoff = scanner.middle if standoff is None else standoff
     tall, wide = (float(side) * (1 - _OVERLAP) for side in scanner.field(standoff))
     # Vertices alone miss bands that a large triangle crosses.
     points = surface_samples(part, 20_000, rng=np.random.default_rng(0)).points

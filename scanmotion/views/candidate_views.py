@@ -1,15 +1,19 @@
 """Candidates of the local step: poses about what is unseen, and whole turns past it."""
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.table import TableGeometry
 from scanmotion.sensing.holes.find import Hole
 from scanmotion.sensing.visibility import Scene, free_lines, hemisphere, sees, tangents, turns_see
-from scanmotion.views.stepped_rotary import UPRIGHT, oblique_turn
+from scanmotion.views.stepped_rotary import FAR, UPRIGHT, oblique_turn, range_gap
 from scanmotion.views.targets import Targets
+
+log = logging.getLogger(__name__)
 
 Reachable = Callable[[np.ndarray], np.ndarray]
 """Tells which poses X_OS (n, 4, 4) the robot reaches, shape (n,)."""
@@ -18,6 +22,14 @@ ASKED = 48
 _CONE = np.deg2rad(65.0)
 _TURN = 30
 """Poses by which a whole turn is scored."""
+_STANDOFFS = (1 / 12, 11 / 30, 2 / 3)
+"""Shares of the scanner's range at which the camera stands off a seed: what lies behind it needs the rest."""
+_BESIDE = (1 / 12, 0.95)
+"""Shares of the range between which an eye beside the table may stand off its seed."""
+_HEIGHTS = (0.02, 0.07, 0.13)
+"""Heights of eyes beside the table over its top [m]."""
+_TILTS = np.deg2rad([-20.0, -8.0, 5.0, 18.0, 32.0, 46.0, 60.0, 75.0])
+_YAWS = np.deg2rad([-30.0, -15.0, 0.0, 15.0, 30.0])
 
 
 def _spread(points: np.ndarray, most: int) -> np.ndarray:
@@ -38,8 +50,8 @@ class CandidateOptions:
     """Most places around which stations are made."""
     directions: int = 160
     """Directions tried about each seed's normal; narrow shafts want many."""
-    standoffs: tuple[float, ...] = (0.45, 0.62, 0.80)
-    """Distances of the camera from the seed [m]."""
+    standoffs: tuple[float, ...] | None = None
+    """Distances of the camera from the seed [m]; None: spread over the scanner's range."""
     rolls: int = 4
     """Rolls tried about each line of sight; the projector must see the seed too."""
     per_seed: int = 36
@@ -74,32 +86,42 @@ def candidates(
     solid: np.ndarray,
     holes: Sequence[Hole] = (),
     reachable: Reachable | None = None,
-    table_radius: float,
-    table_z: float,
+    table: TableGeometry,
     options: CandidateOptions | None = None,
+    promised: Scanner | None = None,
 ) -> Candidates:
     """Poses with free lines from both eyes to their seed, and whole turns.
 
+    Guarantees: stations stand off their seeds inside the scanner's own range, whatever that is, and no eye is
+    where the table or the housing's room about it forbids. Reach is not tested here.
+
     Args:
         scene: what blocks sight.
-        scanner: range, baseline, incidence.
+        scanner: range, field, baseline, incidence.
         targets: what is to be seen.
         solid: points of the surface, shape (k, 3): turns are laid by its radius and height.
         holes: their centres are seeds too, along their normals.
         reachable: of the robot; None for all.
-        table_radius: of the table's disc [m].
-        table_z: its height in O [m].
+        table: where it is, and the room beside it.
         options: how finely.
+        promised: the scanner with something of its range and incidence kept in hand, by which seeing is
+            promised; None for the scanner itself.
     """
-    options = options or CandidateOptions()
-    stations = _stations(scene, scanner, targets, holes, table_radius, table_z, options)
-    turns = _turns(solid, scanner, table_radius, table_z)
+    options, promised = options or CandidateOptions(), promised or scanner
+    stations = _stations(scene, scanner, targets, holes, table, options)
+    turns = _turns(solid, promised, table)
     seen = np.concatenate(
         [
-            sees(scene, scanner, stations, targets.points, targets.normals),
-            turns_see(scene, scanner, turns, targets.points, targets.normals, poses=_TURN),
+            sees(scene, promised, stations, targets.points, targets.normals),
+            turns_see(scene, promised, turns, targets.points, targets.normals, poses=_TURN),
         ]
     )
+    if len(targets) and not seen.any():
+        near, far = scanner.range
+        log.warning(
+            "none of %d candidate viewpoints sees any of what was missed with a scanner of %g to %g m",
+            len(seen), near, far,
+        )  # fmt: skip
     kinds = np.concatenate([np.zeros(len(stations), bool), np.ones(len(turns), bool)])
     return Candidates(np.concatenate([stations, turns]), kinds, seen, reachable)
 
@@ -109,8 +131,7 @@ def _stations(
     scanner: Scanner,
     targets: Targets,
     holes: Sequence[Hole],
-    table_radius: float,
-    table_z: float,
+    table: TableGeometry,
     options: CandidateOptions,
 ) -> np.ndarray:
     """Poses about seeds spread over the targets, shape (n, 4, 4)."""
@@ -122,14 +143,20 @@ def _stations(
     x, y = tangents(faces)
     u = cone[None, :, :1] * x[:, None] + cone[None, :, 1:2] * y[:, None] + cone[None, :, 2:] * faces[:, None]
     seed = np.repeat(np.arange(len(aims)), len(cone))
-    eyes = [(seed, (aims[:, None] + d * u).reshape(-1, 3)) for d in options.standoffs]
-    eyes += [_beside(aims, faces, table_radius, table_z, h) for h in (0.02, 0.07, 0.13)]
+    standoffs = _share_of_range(scanner, _STANDOFFS) if options.standoffs is None else options.standoffs
+    eyes = [(seed, (aims[:, None] + d * u).reshape(-1, 3)) for d in standoffs]
+    eyes += [_beside(aims, faces, table, h, _share_of_range(scanner, _BESIDE)) for h in _HEIGHTS]
     seed, eye = np.concatenate([e[0] for e in eyes]), np.concatenate([e[1] for e in eyes])
-    standing = _standing(eye, table_radius, table_z)
+    standing = _standing(eye, table)
     seed, eye = seed[standing], eye[standing]
     start = aims + 0.001 * faces
     free = free_lines(scene, start[seed], eye)
-    return _both_eyes(scene, scanner, aims, start, seed[free], eye[free], table_z, options)
+    return _both_eyes(scene, scanner, aims, start, seed[free], eye[free], table.z, options)
+
+
+def _share_of_range(scanner: Scanner, shares: Sequence[float]) -> tuple[float, ...]:
+    """Distances at shares of the scanner's range, to the tenth of a millimetre [m]."""
+    return tuple(round(scanner.range[0] + share * scanner.depth, 4) for share in shares)
 
 
 def _both_eyes(
@@ -167,43 +194,45 @@ def _both_eyes(
     return pose[np.concatenate(kept)] if kept else pose
 
 
-def _standing(eye: np.ndarray, table_radius: float, table_z: float) -> np.ndarray:
+def _standing(eye: np.ndarray, table: TableGeometry) -> np.ndarray:
     """Where an eye (..., 3) can be: well above the table, or beside it and hardly below its top."""
-    beside = np.linalg.norm(eye[..., :2], axis=-1) > table_radius + 0.1
-    return eye[..., 2] > table_z + np.where(beside, 0.015, 0.08)
+    beside = np.linalg.norm(eye[..., :2], axis=-1) > table.radius + table.rim_near
+    return eye[..., 2] > table.z + np.where(beside, table.eye_beside, table.eye_above)
 
 
 def _beside(
-    aims: np.ndarray, faces: np.ndarray, table_radius: float, table_z: float, height: float
+    aims: np.ndarray, faces: np.ndarray, table: TableGeometry, height: float, within: Sequence[float]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eyes beside the table that look up under what faces down: (seed of each, (n, 3))."""
     azimuth = 2 * np.pi * np.arange(24) / 24
     eye = np.empty((len(aims), 24, 3))
-    eye[..., :2] = np.column_stack([np.cos(azimuth), np.sin(azimuth)]) * (table_radius + 0.17)
-    eye[..., 2] = table_z + height
+    eye[..., :2] = np.column_stack([np.cos(azimuth), np.sin(azimuth)]) * (table.radius + table.rim_far)
+    eye[..., 2] = table.z + height
     line = eye - aims[:, None]
     distance = np.linalg.norm(line, axis=2)
-    ok = (distance < 0.97) & (distance > 0.45)
+    ok = (distance < within[1]) & (distance > within[0])
     ok &= np.einsum("ijk,ik->ij", line, faces) > 0.36 * distance
     i, j = np.nonzero(ok)
     return i, eye[i, j]
 
 
-def _turns(solid: np.ndarray, scanner: Scanner, table_radius: float, table_z: float) -> np.ndarray:
+def _turns(solid: np.ndarray, scanner: Scanner, table: TableGeometry) -> np.ndarray:
     """Whole turns at many inclinations, offsets, distances, heights and both rolls, shape (n, 4, 4)."""
     radius = float(np.linalg.norm(solid[:, :2], axis=1).max())
     top = float(solid[:, 2].max())
     near, far = scanner.range
-    poses = []
-    for tilt in np.deg2rad([-20.0, -8.0, 5.0, 18.0, 32.0, 46.0, 60.0, 75.0]):
-        close = near + radius * np.cos(tilt) + 0.03
-        for distance in (close, max(0.95 * far, close)):
-            for aim in (0.2, 0.5, 0.8):
-                for yaw in np.deg2rad([-30.0, -15.0, 0.0, 15.0, 30.0]):
+    # Three heights are enough where the field is as tall as a third of the part.
+    aims = np.linspace(0.2, 0.8, max(3, int(np.ceil(top / float(scanner.field(scanner.middle)[0])))))
+    floor, poses = table.z + _HEIGHTS[0], []
+    for tilt in _TILTS:
+        close = near + radius * np.cos(tilt) + range_gap(scanner)
+        for distance in dict.fromkeys((close, max(FAR * far, close))):
+            for aim in aims:
+                for yaw in _YAWS:
                     for roll in (0.0, UPRIGHT):
                         X = oblique_turn(
-                            tilt, yaw, aim * top, distance, radius=radius, floor=table_z + 0.02, roll=roll
+                            tilt, yaw, aim * top, distance, radius=radius, floor=floor, roll=roll
                         )
-                        if _standing(X[:3, 3], table_radius, table_z):
+                        if _standing(X[:3, 3], table):
                             poses.append(X)
     return np.array(poses).reshape(-1, 4, 4)

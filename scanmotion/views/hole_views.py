@@ -63,7 +63,7 @@ def local_viewpoints(
     holes: Sequence[Hole],
     scanner: Scanner,
     *,
-    standoff: float = 0.7,
+    standoff: float | None = None,
     overlap: float = 0.10,
     mode: str = "default",
     table_z: float = 0.0,
@@ -73,7 +73,7 @@ def local_viewpoints(
     Args:
         holes: with their boxes, Z' outward.
         scanner: field of view.
-        standoff: d, scanner to the middle plane [m].
+        standoff: d, scanner to the middle plane [m]; None for the middle of the range.
         overlap: of neighbouring fields, in the default mode.
         mode: "paper" takes the four cases literally and warns where they leave a gap; "default" the grid.
         table_z: viewpoints below the table's top are left out.
@@ -84,6 +84,7 @@ def local_viewpoints(
     if mode not in ("default", "paper"):
         raise InputError(f"unknown mode {mode!r}; known: default, paper")
     near, far = scanner.range
+    standoff = scanner.middle if standoff is None else standoff
     if not near <= standoff <= far:
         raise InputError(f"standoff {standoff:g} m is outside the scanner's range {near:g} .. {far:g} m")
     l, w = (float(side) for side in scanner.field(standoff))  # noqa: E741

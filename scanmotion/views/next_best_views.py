@@ -10,18 +10,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.table import TableGeometry
+from scanmotion.core.view_costs import ViewCosts
 from scanmotion.core.viewpoint import Slack, Viewpoint
 from scanmotion.sensing.closed_surface import ClosedModel, closed_model
 from scanmotion.sensing.free_space import Space
 from scanmotion.sensing.holes.find import Hole
+from scanmotion.sensing.visibility import Scene, axis_depths, revolution_poses
 from scanmotion.views.candidate_views import ASKED, CandidateOptions, Candidates, Reachable, candidates
 from scanmotion.views.targets import TargetOptions, drawn, missed, near, sight_of
 from scanmotion.views.unscanned import CANNOT_BE_SEEN, Patch, patches, why_open
 
-STATION_S, REVOLUTION_S = 1.8, 9.2
-"""What a station and a revolution cost beside the way there, for weighing them against each other [s]."""
-SECONDS_PER_METRE = 12.0
-"""The scanner's way at 0.1 m/s with its ramps [s/m]."""
+_BEHIND_SHARE = 0.1
+_TURN_POSES = 30
+"""Angles of a turn at which its distance to the surface is taken."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +33,7 @@ class SelectOptions:
     candidates: CandidateOptions = field(default_factory=CandidateOptions)
     targets: TargetOptions = field(default_factory=TargetOptions)
     behind: float = 0.04
-    """Targets are seen at least this far inside the range's end [m]."""
+    """Targets are seen at least this far inside the range's end, but at most a tenth of the range [m]."""
     most: int = 24
     """Most viewpoints chosen in one round."""
     least_rate: float = 2.5e-5
@@ -65,9 +67,8 @@ def local_step(
     scanner: Scanner,
     *,
     spacing: float,
-    table_radius: float,
-    table_z: float = 0.0,
-    pedestal_radius: float = 0.0,
+    table: TableGeometry,
+    costs: ViewCosts,
     space: Space | None = None,
     claimed: np.ndarray | None = None,
     model: ClosedModel | None = None,
@@ -85,9 +86,8 @@ def local_step(
         holes: their rims' normals add candidates that look straight in.
         scanner: field, range, incidence, baseline.
         spacing: of the points [m].
-        table_radius: of the table's disc [m].
-        table_z: its height in O [m].
-        pedestal_radius: of the pedestal under the part [m]; 0 for none.
+        table: where it is, and the room beside it.
+        costs: what stations, turns and ways take in this cell.
         space: what the frames have looked through; None where the frames are not known.
         claimed: targets that earlier rounds should have seen, shape (k, 3).
         model: of an earlier round, whose shape is kept but for what frames have looked through since; None
@@ -101,11 +101,11 @@ def local_step(
     options = options or SelectOptions()
     passed = None if space is None else space.passed
     if model is None:
-        model = closed_model(points, normals, spacing=spacing, table_z=table_z, passed=passed)
+        model = closed_model(points, normals, spacing=spacing, table_z=table.z, passed=passed)
     else:
         model = model.measured(points, passed)
     open_ = missed(
-        model, points, spacing=spacing, space=space, holes=holes, table_z=table_z, options=options.targets
+        model, points, spacing=spacing, space=space, holes=holes, table_z=table.z, options=options.targets
     )
     tried = near(open_, claimed, 1.5 * model.cell)
     vain = patches(open_.only(tried), np.full(int(tried.sum()), CANNOT_BE_SEEN)) if explain else ()
@@ -113,20 +113,16 @@ def local_step(
     if len(targets) == 0:
         none = targets.points
         return LocalStep(viewpoints=(), unseen=vain, model=model, targets=none, claimed=none, gains=())
-    # What lies behind a target is farther than the target.
-    least, most = scanner.range
-    careful = replace(
-        scanner, range=(least, most - options.behind), max_incidence=scanner.max_incidence - options.wary
-    )
+    scene = sight_of(model, table_radius=table.radius, table_z=table.z, pedestal_radius=table.pedestal_radius)
     found = candidates(
-        sight_of(model, table_radius=table_radius, table_z=table_z, pedestal_radius=pedestal_radius),
-        careful, targets,
-        solid=model.vertices, holes=holes, reachable=reachable, table_radius=table_radius, table_z=table_z,
-        options=options.candidates,
+        scene, scanner, targets, solid=model.vertices, holes=holes, reachable=reachable, table=table,
+        options=options.candidates, promised=_careful(scanner, options),
     )  # fmt: skip
-    chosen, gains = _chosen(found, targets.areas, options.least_rate * model.area, seconds, options.most)
+    chosen, gains = _chosen(
+        found, targets.areas, options.least_rate * model.area, costs, seconds=seconds, most=options.most
+    )
     views = tuple(
-        _view(found.X_OS[c], bool(found.turns[c]), f"L{n}", g)
+        _view(found, c, _standoff(scene, scanner, found, c, targets.points), f"L{n}", g)
         for n, (c, g) in enumerate(zip(chosen, gains, strict=True), 1)
     )
     covered = np.asarray(found.sees[chosen].any(axis=0)) if chosen else np.zeros(len(targets), bool)
@@ -139,8 +135,15 @@ def local_step(
     )  # fmt: skip
 
 
+def _careful(scanner: Scanner, options: SelectOptions) -> Scanner:
+    """The scanner by which seeing is promised: what lies behind a target is farther than the target."""
+    least, most = scanner.range
+    behind = min(options.behind, _BEHIND_SHARE * scanner.depth)
+    return replace(scanner, range=(least, most - behind), max_incidence=scanner.max_incidence - options.wary)
+
+
 def _chosen(
-    found: Candidates, areas: np.ndarray, least: float, seconds: float, most: int
+    found: Candidates, areas: np.ndarray, least: float, costs: ViewCosts, *, seconds: float, most: int
 ) -> tuple[list[int], list[float]]:
     """Candidates by greatest gain per second, and what each adds to the others [m2].
 
@@ -150,12 +153,12 @@ def _chosen(
     place = np.column_stack([np.linalg.norm(found.X_OS[:, :2, 3], axis=1), found.X_OS[:, 2, 3]])
     gaining = np.flatnonzero(found.sees.any(axis=1))
     table = found.sees[gaining].astype(np.float32)
-    base = np.where(found.turns, REVOLUTION_S, STATION_S)[gaining]
-    way = np.full(len(gaining), 0.3)
+    base = costs.own_seconds(found.turns)[gaining]
+    way = np.full(len(gaining), costs.first_way)
     open_, rows, spent = areas.astype(np.float32), [], 0.0
     while len(gaining) and len(rows) < most:
         gain = table @ open_
-        cost = base + SECONDS_PER_METRE * way
+        cost = base + costs.seconds_per_metre * way
         rate = np.where(found.known[gaining] & ~found.reached[gaining], -1.0, gain / cost)
         best = int(np.argmax(rate))
         if rate[best] < least or spent + cost[best] > seconds:
@@ -167,18 +170,19 @@ def _chosen(
         spent += float(cost[best])
         open_[found.sees[rows[-1]]] = 0.0
         way = np.minimum(way, np.linalg.norm(place[gaining] - place[rows[-1]], axis=1))
-    return _pruned(found.sees, areas, found.turns, rows, least)
+    seconds_of = costs.own_seconds(found.turns) + costs.usual_way * costs.seconds_per_metre
+    return _pruned(found.sees, areas, seconds_of, rows, least)
 
 
 def _pruned(
-    matrix: np.ndarray, areas: np.ndarray, kinds: np.ndarray, rows: list[int], least: float
+    matrix: np.ndarray, areas: np.ndarray, seconds: np.ndarray, rows: list[int], least: float
 ) -> tuple[list[int], list[float]]:
     """Without the rows that later ones made superfluous, the worst first, and what each adds alone [m2]."""
     rows = list(rows)
     while rows:
         count = matrix[rows].sum(axis=0)
         alone = np.array([areas[matrix[r] & (count == 1)].sum() for r in rows])
-        rate = alone / (np.where(kinds[rows], REVOLUTION_S, STATION_S) + 0.1 * SECONDS_PER_METRE)
+        rate = alone / seconds[rows]
         worst = int(np.argmin(rate))
         if rate[worst] >= least:
             return rows, [float(a) for a in alone]
@@ -190,9 +194,27 @@ LOCAL_SLACK = Slack(standoff=(-0.005, 0.005), tilt=np.deg2rad(1.0), roll=False)
 """What a local station may give way in; benchmarks/slack.py says what that costs of what is seen."""
 
 
-def _view(X_OS: np.ndarray, turns: bool, name: str, gain: float) -> Viewpoint:
+def _standoff(scene: Scene, scanner: Scanner, found: Candidates, c: int, targets: np.ndarray) -> float:
+    """Distance along the axis of candidate c to the surface; of a turn the median over its angles [m].
+
+    Where the axis passes the surface, as beside a narrow part, that of the middle of what it sees of the
+    targets (m, 3).
+    """
+    X_OS, turns = found.X_OS[c], bool(found.turns[c])
+    usual = scanner.usual_depth(axis_depths(scene, revolution_poses(X_OS, _TURN_POSES) if turns else X_OS))
+    if usual is not None:
+        return usual
+    if turns:
+        # The point of the axis of sight that comes nearest to the table's axis.
+        p, z = X_OS[:3, 3], X_OS[:3, 2]
+        return float(-(p[:2] @ z[:2]) / max(float(z[:2] @ z[:2]), 1e-12))
+    return float(np.median((targets[found.sees[c]] - X_OS[:3, 3]) @ X_OS[:3, 2]))
+
+
+def _view(found: Candidates, c: int, standoff: float, name: str, gain: float) -> Viewpoint:
     return Viewpoint(
-        id=name, X_OS=X_OS, standoff=0.7 if turns else 0.55, step="local",
-        kind="revolution" if turns else "station", slack=Slack(roll=False) if turns else LOCAL_SLACK,
+        id=name, X_OS=found.X_OS[c], standoff=standoff, step="local",
+        kind="revolution" if found.turns[c] else "station",
+        slack=Slack(roll=False) if found.turns[c] else LOCAL_SLACK,
         note=f"adds {gain * 1e4:.1f} cm2",
     )  # fmt: skip

@@ -16,12 +16,12 @@ UPRIGHT = -np.pi / 2
 """Roll that stands the long side l upright, with the projector above the camera, clear of the table."""
 _LOW, _ABOVE, _STEEP = np.deg2rad([-20.0, 30.0, 40.0])
 _YAW, _WIDE_YAW = np.deg2rad([15.0, 25.0])
-_FAR = 0.95
-"""The far turns stand at this share of the range from the axis."""
-_GAP = 0.03
-"""The nearest surface stays this far beyond the least range [m]."""
-_ROW = 0.65
-"""Greatest height of a row of turns [m]."""
+FAR = 0.95
+"""The far turns stand at this share of the greatest range from the axis."""
+_GAP, _GAP_SHARE = 0.03, 0.05
+"""The nearest surface stays this far beyond the least range [m], but at most this share of the range."""
+_ROW = 1.733
+"""Greatest height of a row of turns, in long sides of the field at the middle of the range."""
 _LEAST_HEIGHT = 0.02
 """Least height of the optical centre above the table in the default mode [m]."""
 _ENOUGH = 0.985
@@ -29,8 +29,18 @@ _ENOUGH = 0.985
 _WORTH = 0.005
 """A turn that adds a smaller share than this is not added."""
 _POSES = 30
-_CLEAR = 0.25
-"""Added turns keep the optical centre so far outside the box's cylinder [m]."""
+_CLEAR, _CLEAR_SHARE = 0.25, 0.625
+"""Added turns keep the optical centre so far outside the box's cylinder [m], but at most this share of the
+least range."""
+_NEAR_SHARE = 0.25
+"""The nearest of the added turns stand at this share of the range."""
+_STEP, _STEP_SHARE = 0.2, 0.54
+"""Added turns aim at heights so far apart at most [m], and at most this share of the field's long side."""
+
+
+def range_gap(scanner: Scanner) -> float:
+    """How far beyond the least range the nearest surface of a turn stays [m]."""
+    return min(_GAP, _GAP_SHARE * scanner.depth)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,7 +58,7 @@ def stepped_rotary(
     height: float,
     scanner: Scanner,
     *,
-    standoff: float = 0.7,
+    standoff: float | None = None,
     mode: str = "default",
     pedestal: float = 0.0,
 ) -> StepPlan:
@@ -66,7 +76,7 @@ def stepped_rotary(
         width: W along y [m].
         height: H along z [m].
         scanner: field and range.
-        standoff: d of the paper, scanner to the box's side [m].
+        standoff: d of the paper, scanner to the box's side [m]; None for the middle of the range.
         mode: "default" or "paper".
         pedestal: height of the box's base above the table [m].
 
@@ -76,7 +86,7 @@ def stepped_rotary(
     if not (np.isfinite([length, width, height]).all() and min(length, width, height) > 0):
         raise InputError(f"box {length:g} x {width:g} x {height:g} m: sides must be positive numbers")
     if mode == "paper":
-        return _paper(length, height, scanner, standoff, pedestal)
+        return _paper(length, height, scanner, scanner.middle if standoff is None else standoff, pedestal)
     if mode != "default":
         raise InputError(f"unknown mode {mode!r}; known: default, paper")
     return _default(length, width, height, scanner, pedestal)
@@ -115,12 +125,13 @@ def _paper(length: float, height: float, scanner: Scanner, d: float, pedestal: f
 def _default(length: float, width: float, height: float, scanner: Scanner, pedestal: float) -> StepPlan:
     radius = float(np.hypot(length, width)) / 2
     near, far = scanner.range
-    rows = max(1, int(np.ceil(height / _ROW - 1e-9)))
+    size = np.array([length, width, height])
+    rows = max(1, int(np.ceil(height / (_ROW * float(scanner.field(scanner.middle)[0])) - 1e-9)))
 
     def distance(tilt: float, share: float) -> float:
         """From the nearest that keeps the box in range (0) to far off (1)."""
-        close = near + radius * float(np.cos(tilt)) + _GAP
-        return close + share * max(_FAR * far - close, 0.0)
+        close = near + radius * float(np.cos(tilt)) + range_gap(scanner)
+        return close + share * max(FAR * far - close, 0.0)
 
     turns = [(_STEEP, _YAW, height * (1 - 0.2 / rows), 0.5, "from steeply above, past the axis")]
     for k in reversed(range(rows)):
@@ -134,8 +145,8 @@ def _default(length: float, width: float, height: float, scanner: Scanner, pedes
         X_OS = oblique_turn(tilt, yaw, aim, d, radius=radius, floor=_LEAST_HEIGHT - pedestal)
         views.append(
             Viewpoint(
-                id=f"G{n}", X_OS=X_OS, standoff=max(d - radius, near), step="global",
-                kind="revolution", slack=Slack(roll=False), note=note,
+                id=f"G{n}", X_OS=X_OS, step="global", kind="revolution", slack=Slack(roll=False), note=note,
+                standoff=turn_standoff(X_OS, size, scanner, otherwise=d),
             )
         )  # fmt: skip
     views += _added(length, width, height, scanner, views, floor=_LEAST_HEIGHT - pedestal)
@@ -159,6 +170,9 @@ def _added(
     if seen.mean() >= _ENOUGH:
         return []
     poses, distances = _steps(float(np.hypot(length, width)) / 2, height, scanner, floor)
+    if len(poses) == 0:
+        return []
+    size = np.array([length, width, height])
     table = seen_by(poses)
     out: list[Viewpoint] = []
     while seen.mean() < _ENOUGH:
@@ -169,8 +183,9 @@ def _added(
         seen |= table[best]
         out.append(
             Viewpoint(
-                id=f"G{len(views) + len(out)}", X_OS=poses[best], standoff=distances[best], step="global",
-                kind="revolution", slack=Slack(roll=False), note=f"adds {gain[best]:.1%} of the box",
+                id=f"G{len(views) + len(out)}", X_OS=poses[best], step="global", kind="revolution",
+                standoff=turn_standoff(poses[best], size, scanner, otherwise=distances[best]),
+                slack=Slack(roll=False), note=f"adds {gain[best]:.1%} of the box",
             )
         )  # fmt: skip
     return out
@@ -197,21 +212,46 @@ def _faces(length: float, width: float, height: float) -> tuple[np.ndarray, np.n
 def _steps(radius: float, height: float, scanner: Scanner, floor: float) -> tuple[np.ndarray, list[float]]:
     """Turns aimed at steps across the top and up the sides of the box's cylinder, and their distances."""
     near, far = scanner.range
-    rows = max(2, int(np.ceil(height / 0.2)))
+    step = min(_STEP, _STEP_SHARE * float(scanner.field(scanner.middle)[0]))
+    clear = min(_CLEAR, _CLEAR_SHARE * near)
+    rows = max(2, int(np.ceil(height / step)))
     aims = [(radius * share, height) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
     aims += [(radius * share, height * (i + 0.5) / rows) for i in range(rows) for share in (0.6, 1.0)]
     poses, distances = [], []
     for across, up in aims:
         for tilt in np.deg2rad([-20.0, 0.0, 20.0, 40.0, 60.0, 80.0]):
-            for distance in (near + 0.15, (near + far) / 2, _FAR * far):
+            for distance in (near + _NEAR_SHARE * scanner.depth, scanner.middle, FAR * far):
                 for yaw in (-_YAW, 0.0, _YAW):
                     c, s = np.cos(tilt), np.sin(tilt)
                     line = np.array([c * np.cos(yaw), c * np.sin(yaw), s])
                     p = np.array([across, 0.0, up]) + distance * line
-                    if p[2] >= floor and (np.hypot(*p[:2]) > radius + _CLEAR or p[2] > height + _CLEAR):
+                    if p[2] >= floor and (np.hypot(*p[:2]) > radius + clear or p[2] > height + clear):
                         poses.append(look_at(p, -line, roll=UPRIGHT))
                         distances.append(distance)
-    return np.array(poses), distances
+    return np.array(poses).reshape(-1, 4, 4), distances
+
+
+def turn_standoff(X_OS: np.ndarray, size: np.ndarray, scanner: Scanner, *, otherwise: float) -> float:
+    """Distance along the optical axis to a box on the table, the median over a turn's angles [m].
+
+    Angles at which it is in the scanner's range count, all where it never is.
+
+    Args:
+        X_OS: pose of the turn, shape (4, 4).
+        size: sides of the box, which stands on z = 0 about the axis, shape (3,) [m].
+        scanner: its range.
+        otherwise: what is taken where the axis passes the box at every angle [m].
+    """
+    poses = revolution_poses(X_OS, _POSES)
+    p, direction = poses[:, :3, 3], poses[:, :3, 2]
+    low, high = np.array([-size[0] / 2, -size[1] / 2, 0.0]), np.array([size[0] / 2, size[1] / 2, size[2]])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (low - p) / direction, (high - p) / direction
+    first = np.nanmax(np.fmin(a, b), axis=1)
+    last = np.nanmin(np.fmax(a, b), axis=1)
+    hit = (first <= last) & (first > 0)
+    usual = scanner.usual_depth(first[hit])
+    return otherwise if usual is None else usual
 
 
 def oblique_turn(

@@ -35,7 +35,7 @@ def surface_partitioning(
     part: Part,
     scanner: Scanner,
     *,
-    standoff: float = 0.7,
+    standoff: float | None = None,
     table_z: float = 0.0,
     deviation: float = np.deg2rad(30.0),
 ) -> tuple[Viewpoint, ...]:
@@ -44,7 +44,7 @@ def surface_partitioning(
     Args:
         part: the true mesh.
         scanner: field of view and range.
-        standoff: from the patch's middle [m].
+        standoff: from the patch's middle [m]; None for the middle of the range.
         table_z: height of the table's top; views that would be below it look up less steeply.
         deviation: greatest angle between a patch's normals and its seed's [rad].
 
@@ -53,6 +53,7 @@ def surface_partitioning(
     """
     if not part.is_mesh:
         raise PartError("surface partitioning needs the true mesh")
+    standoff = scanner.middle if standoff is None else standoff
     samples = surface_samples(part, _SAMPLES, rng=np.random.default_rng(0))
     points = samples.points
     graph = _neighbours(points, samples.normals)

@@ -8,6 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.table import TableGeometry
 from scanmotion.sensing.visibility import Scene
 from scanmotion.views.candidate_views import ASKED, CandidateOptions, Candidates, Reachable, candidates
 from scanmotion.views.targets import Targets
@@ -83,8 +84,7 @@ def open_surface(
     *,
     solid: np.ndarray,
     reachable: Reachable,
-    table_radius: float,
-    table_z: float = 0.0,
+    table: TableGeometry,
 ) -> np.ndarray:
     """Why each piece of a known surface that was not scanned was not, as indices of REASONS, shape (m,).
 
@@ -95,16 +95,14 @@ def open_surface(
         visible: which of it some allowed scanner could see, shape (m,).
         solid: points of the whole surface, shape (k, 3).
         reachable: tells which poses the robot reaches.
-        table_radius: of the table's disc [m].
-        table_z: its height in O [m].
+        table: where it is, and the room beside it.
     """
     reasons = np.full(len(open_), CANNOT_BE_SEEN)
     where = np.flatnonzero(visible)
     if len(where):
         found = candidates(
-            scene, scanner, open_.only(where), solid=solid, reachable=reachable, table_radius=table_radius,
-            table_z=table_z, options=_FINE,
-        )  # fmt: skip
+            scene, scanner, open_.only(where), solid=solid, reachable=reachable, table=table, options=_FINE
+        )
         # What can be seen, but from nowhere that a scanner on its arm can stand, is out of reach.
         reasons[where] = np.maximum(why_open(found, np.arange(len(where))), CANNOT_BE_REACHED)
     return reasons

@@ -5,14 +5,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from scanmotion.cell.ik.opw import OpwArm, opw_arm
-from scanmotion.cell.ik.parallel import ParallelArm, parallel_arm
+from scanmotion.cell.ik.opw import opw_arm
+from scanmotion.cell.ik.parallel import parallel_arm
+from scanmotion.cell.ik.turned_opw import turned_arm
 from scanmotion.cell.robot import Robot, Solved
+
+
+@functools.lru_cache(maxsize=16)
+def _closed_form(robot: Robot) -> Callable[[np.ndarray], Solved] | None:
+    return opw_arm(robot) or parallel_arm(robot) or turned_arm(robot)
 
 
 def has_closed_form(robot: Robot) -> bool:
     """Whether the arm is solved in closed form, in all its branches."""
-    return isinstance(solver_of(robot), OpwArm | ParallelArm)
+    return _closed_form(robot) is not None
 
 
 @functools.lru_cache(maxsize=16)
@@ -21,7 +27,7 @@ def solver_of(robot: Robot) -> Callable[[np.ndarray], Solved]:
 
     What is returned takes flange poses in the base, shape (n, 4, 4).
     """
-    arm = opw_arm(robot) or parallel_arm(robot)
+    arm = _closed_form(robot)
     if arm is not None:
         return arm
     from scanmotion.cell.ik.numeric import NumericArm

@@ -274,6 +274,7 @@ def holes_from_mesh(
     spacing: float | None = None,
     min_size: float | None = None,
     min_vertices: int = 8,
+    weld: bool = True,
     rng: np.random.Generator | None = None,
     **options: Any,
 ) -> HoleReport:
@@ -286,6 +287,7 @@ def holes_from_mesh(
         spacing: of the resampled points [m]; the median edge unless given.
         min_size: perimeter under which a loop is tiny [m]; 10 median edges unless given.
         min_vertices: a loop of fewer vertices is tiny ("loops" only).
+        weld: whether vertices of equal coordinates are one; not so for a part from a file ("loops" only).
         rng: for "resample"; seed 0 unless given.
         options: of `holes_from_cloud`. Mode "paper" asks for "resample".
 
@@ -298,7 +300,7 @@ def holes_from_mesh(
     """
     if method not in ("loops", "resample"):
         raise HoleError(f"method must be loops or resample, got {method!r}")
-    mesh = mesh_loops(vertices, triangles)
+    mesh = mesh_loops(vertices, triangles, weld=weld)
     corner = mesh.vertices[mesh.triangles]
     if not len(corner):
         raise HoleError("all triangles of the mesh are degenerate")

@@ -25,13 +25,15 @@ class MeshLoops:
     """Normals of those triangles, each (k, 3)."""
 
 
-def mesh_loops(vertices: np.ndarray, triangles: np.ndarray) -> MeshLoops:
+def mesh_loops(vertices: np.ndarray, triangles: np.ndarray, *, weld: bool = True) -> MeshLoops:
     """Welds equal vertices, drops degenerate triangles, and walks the boundary.
 
     The walk keeps to the triangles: holes that touch in one vertex have one rim, which passes it twice.
 
     Args:
         vertices: shape (n, 3) [m]. triangles: indices, shape (m, 3).
+        weld: False keeps vertices of equal coordinates apart: a part from a file is welded already, and
+            where surfaces meet in an edge its doubled vertices keep them apart.
 
     Raises:
         HoleError: bad shapes, indices or numbers.
@@ -47,8 +49,11 @@ def mesh_loops(vertices: np.ndarray, triangles: np.ndarray) -> MeshLoops:
         raise HoleError(f"triangle indices must be within 0 .. {len(vertices) - 1}")
     if not np.isfinite(vertices[np.unique(triangles)]).all():
         raise HoleError("the mesh has vertices that are not finite")
-    place, source, inverse = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    faces = inverse.ravel()[triangles]
+    if weld:
+        place, source, inverse = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+        faces = inverse.ravel()[triangles]
+    else:
+        place, source, faces = vertices, np.arange(len(vertices)), triangles
     proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     faces = faces[proper]
     loops, edges = _walk(faces)
@@ -82,6 +87,8 @@ def _walk(faces: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
     pinched = {v for v, edges in ends.items() if len(edges) > 2}
     around = _faces_around(faces, pinched)
     for v, edges in ends.items():
+        if len(edges) == 1:
+            continue  # the border ends at an edge of three triangles
         pairs = [tuple(edges)] if len(edges) == 2 else _pairs(v, edges, faces, around[v])
         for a, b in pairs:
             partner[v, a], partner[v, b] = b, a

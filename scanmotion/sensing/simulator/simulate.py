@@ -101,10 +101,18 @@ def simulate(
     X_true, X_nominal = true_poses(captures, errors, rng), captures.X_OS
     scales = 1.0 + scanner.frame_scale * errors.frame_scale * rng.standard_normal(n)
     grid = _Grid(scanner, stride)
+    moving = captures.body_rates if scanner.exposure or scanner.rolling else None
     frames = []
     for k in range(n):
         columns, rows = grid.phase(k)
-        depth, cosine, column, row = _range_frame(scene, scanner, X_true[k], columns, rows)
+        depth, cosine, column, row, normal = _range_frame(scene, scanner, X_true[k], columns, rows)
+        if moving is not None and moving[k].any():
+            ray = np.column_stack([columns[column], rows[row], np.ones(len(depth))])
+            slope = _depth_rate(ray, depth, normal @ X_true[k, :3, :3], moving[k])
+            instant = scanner.rolling * (rows[row] / (2 * np.tan(scanner.fov[1] / 2)))
+            if scanner.exposure:
+                instant = instant + scanner.exposure * (rng.random(len(depth)) - 0.5)
+            depth = (depth + instant * slope).astype(np.float32)
         noise = rng.standard_normal(len(depth), dtype=np.float32)
         points = np.empty((len(depth), 3), np.float32)
         sigma = scanner.sigma_at_near * errors.range_noise
@@ -125,6 +133,41 @@ def simulate(
         captures=captures,
         seen=_seen(scene, scanner, X_true, samples, known),
         rays=grid.size * n,
+    )
+
+
+def _blinding(
+    rays: np.ndarray, depth: np.ndarray, normals: np.ndarray, p_OP: np.ndarray, mirror: float
+) -> np.ndarray:
+    """Where the mirror image of the projector lies within `mirror` [rad] of the camera, shape (k,) bool.
+
+    Args:
+        rays: from the camera, shape (k, 6); their parameter is the depth.
+        depth: shape (k,) [m].
+        normals: shape (k, 3).
+        p_OP: place of the projector in O, shape (3,) [m].
+        mirror: half angle.
+    """
+    camera = -depth[:, None] * rays[:, 3:]
+    projector = p_OP - (rays[:, :3] - camera)
+    half = sum(v / np.linalg.norm(v, axis=1, keepdims=True) for v in (camera, projector))
+    return np.einsum("ij,ij->i", half, normals) >= np.cos(mirror) * np.linalg.norm(half, axis=1)
+
+
+def _depth_rate(ray: np.ndarray, depth: np.ndarray, normal: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """How fast the depth of each pixel changes while the surface, flat about the pixel, moves, shape (k,)
+    [m/s].
+
+    Args:
+        ray: directions with z = 1 in S, shape (k, 3).
+        depth: shape (k,) [m].
+        normal: of the surface in S, shape (k, 3).
+        rate: of the scanner against the object along S, velocity and angular velocity, shape (6,).
+    """
+    surface = -(rate[:3] + np.cross(rate[3:], ray * depth[:, None]))
+    facing = np.einsum("ij,ij->i", normal, ray)
+    return np.einsum("ij,ij->i", normal, surface) / np.where(
+        np.abs(facing) < 0.1, np.copysign(0.1, facing), facing
     )
 
 
@@ -169,17 +212,18 @@ def _range_frame(
     X_OS: np.ndarray,
     columns: np.ndarray,
     rows: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """True depth, cosine of incidence, column and row of every pixel that both eyes measure in one pose."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """True depth, cosine of incidence, column, row and normal in O of every pixel that both eyes measure."""
     low, high = _spans(X_OS, rows, scene.outline)
     rays, column, row = frame_rays(X_OS, columns, rows, low, high)
     if len(rays) == 0:
-        return np.zeros(0, np.float32), np.zeros(0, np.float32), column, row
-    hit = scene.raycaster.cast_rays(rays)
+        return np.zeros(0, np.float32), np.zeros(0, np.float32), column, row, np.zeros((0, 3), np.float32)
+    rays_hit, hit = rays, scene.raycaster.cast_rays(rays)
+    normals = hit["primitive_normals"].numpy()
     depth = hit["t_hit"].numpy()
     p_OP = X_OS[:3, 3] + scanner.baseline * X_OS[:3, 0]
     index, cosine, shadow = lit_hits(
-        rays, depth, hit["geometry_ids"].numpy(), hit["primitive_normals"].numpy(), p_OP, *scanner.range,
+        rays, depth, hit["geometry_ids"].numpy(), normals, p_OP, *scanner.range,
         np.cos(scanner.max_incidence), 0,
     )  # fmt: skip
     lit = np.zeros(len(index), bool)
@@ -190,8 +234,10 @@ def _range_frame(
     if len(doubtful):
         rays = shadow[doubtful]
         lit[doubtful] = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=_SHADOW_END).numpy()
+    if scanner.mirror > 0:
+        lit &= ~_blinding(rays_hit[index], depth[index], normals[index], p_OP, scanner.mirror)
     index, cosine = index[lit], cosine[lit]
-    return depth[index], cosine, column[index], row[index]
+    return depth[index], cosine, column[index], row[index], normals[index]
 
 
 def _nearest(scene: Scene, X_OS: np.ndarray, p_OP: np.ndarray) -> float:
