@@ -77,3 +77,13 @@ def test_the_accuracy_of_a_known_shift_is_that_of_a_simulation(lump, predicted):
     base = replace(predicted, noise=(clean.mean_abs, clean.mean_signed))
     found = confidence(base, QUIET, replace(NOTHING, axis_m=3e-4), draws=40)
     assert found.mean_abs.low <= off.mean_abs <= 1.3 * found.mean_abs.high
+
+
+def test_a_plan_says_how_sure_it_is(pitted_plan):
+    found = pitted_plan.summary.document()["confidence"]
+    c, a = found["completeness"], found["mean_abs_mm"]
+    assert found["draws"] >= 20
+    assert c["value"] == pytest.approx(pitted_plan.completeness()["final"], abs=1e-6)
+    assert 0.8 < c["low_95"] <= c["high_95"] <= 1.0
+    assert a["value"] == pytest.approx(pitted_plan.accuracy().mean_abs * 1e3, rel=0.1) and a["high_95"] > 0
+    assert "95 %" in found["statement"]

@@ -15,7 +15,7 @@ from scanmotion.cell.settings import load_cell, settings_from
 from scanmotion.cli import app
 from scanmotion.core.errors import InputError
 from scanmotion.geometry.part_files import read_geometry
-from scanmotion.geometry.parts import surface_samples
+from scanmotion.geometry.parts import part_from_file, surface_samples
 from scanmotion.geometry.ply import write_ply
 from scanmotion.job import store
 from scanmotion.job.adding import AddOptions, add_frames
@@ -235,8 +235,6 @@ def test_scans_with_given_poses_and_directions_make_a_job(tmp_path, shared_data)
     told = run("add", job, *files, "--frames", folder / "poses.json", "--json")
     assert told["added"] == len(names) and told["poses from"] == "the frames list's poses"
     model = model_of(load_job(job))
-    from scanmotion.geometry.parts import part_from_file
-
     bunny = part_from_file(shared_data / "stanford_bunny.ply", place="keep")
     d = accuracy(model.cloud.points, bunny)
     assert d.mean_abs < 0.6e-3
@@ -250,8 +248,8 @@ def planted(tmp_path_factory):
     folder = tmp_path_factory.mktemp("planted")
     told = load_cell("kr240").model_dump(mode="json")
     told["twin"] |= {
-        "axis_mm": [0.5, -0.3],
-        "hand_eye_mm": [0.2, 0.0, 0.3],
+        "axis_mm": [0.6, -0.3],
+        "hand_eye_mm": [0.2, 0.0, -0.5],
         "latency_ms": 2.0,
         "backlash_deg": 0.02,
     }
@@ -266,7 +264,8 @@ def planted(tmp_path_factory):
 
 def test_calibration_finds_what_was_planted_and_writes_a_cell_that_scans_better(planted):
     job = load_job(planted / "job")
-    part = bumpy(60)
+    # As it stands on the table: centred.
+    part = part_from_file(planted / "lump.ply")
     before = accuracy(model_of(job).cloud.points, part)
     out = planted / "calibrated.yaml"
     result = CliRunner().invoke(app, ["calibrate", str(planted / "job"), "--write-cell", str(out), "--json"])
@@ -274,8 +273,8 @@ def test_calibration_finds_what_was_planted_and_writes_a_cell_that_scans_better(
     record = json.loads(result.stdout)
     assert record["determined"] and record["applied"]
     after = accuracy(model_of(load_job(planted / "job")).cloud.points, part)
-    assert after.mean_abs < before.mean_abs / 3
-    truth = {"axis_mm": [0.5, -0.3], "hand_eye_mm": [0.2, 0.0, 0.3], "latency_ms": 2.0, "backlash_deg": 0.02}
+    assert after.mean_abs < before.mean_abs / 5
+    truth = {"axis_mm": [0.6, -0.3], "hand_eye_mm": [0.2, 0.0, -0.5], "latency_ms": 2.0, "backlash_deg": 0.02}
     for key, value in truth.items():
         off = np.abs(np.atleast_1d(record["estimated"][key]) - np.atleast_1d(value))
         assert (off < 4 * np.atleast_1d(record["sd"][key]) + 1e-6).all(), (key, record)
@@ -285,7 +284,7 @@ def test_calibration_finds_what_was_planted_and_writes_a_cell_that_scans_better(
     run("new", planted / "again", "--cell", out, "--box", *sides, "--json")
     run("add", planted / "again", "--simulate", planted / "lump.ply", "--stride", "4", "--json")
     better = accuracy(model_of(load_job(planted / "again")).cloud.points, part)
-    assert better.mean_abs < before.mean_abs / 3
+    assert better.mean_abs < before.mean_abs / 5
     assert known.calibration.latency_ms == pytest.approx(record["estimated"]["latency_ms"], abs=1e-6)
 
 

@@ -59,6 +59,34 @@ class TwinSettings(Settings):
     jitter_ms: Number = Field(0.0, ge=0.0, le=100.0, description="standard deviation of that, frame by frame")
 
 
+class UncertaintySettings(Settings):
+    """What is not known when a plan is made: standard deviations, from which predictions get their
+    intervals.
+    """
+
+    hand_eye_mm: Number = Field(
+        0.05, ge=0.0, le=5.0, description="place of the scanner on the flange, per axis"
+    )
+    hand_eye_deg: Number = Field(0.005, ge=0.0, le=2.0, description="its orientation, per axis")
+    axis_mm: Number = Field(0.05, ge=0.0, le=5.0, description="place of the table's axis, per axis")
+    axis_deg: Number = Field(0.003, ge=0.0, le=2.0, description="its tilt, per axis")
+    backlash_deg: Number = Field(0.003, ge=0.0, le=2.0, description="play of the table")
+    latency_ms: Number = Field(0.5, ge=0.0, le=100.0, description="time from pose to frame")
+    place_mm: Number = Field(
+        1.0, ge=0.0, le=100.0, description="where the part is put on the table, per axis"
+    )
+    place_deg: Number = Field(0.5, ge=0.0, le=45.0, description="its turn on the table")
+
+    def si(self) -> dict[str, float]:
+        """In m, rad and s, by the names of `planning.confidence.Uncertainty`."""
+        units = {"mm": ("m", 1e-3), "deg": ("rad", math.pi / 180), "ms": ("s", 1e-3)}
+        told = {}
+        for key, value in self.model_dump().items():
+            name, unit = key.rsplit("_", 1)
+            told[f"{name}_{units[unit][0]}"] = value * units[unit][1]
+        return told
+
+
 class CalibrationSettings(Settings):
     """What calibration has found: constants that plan and measured frames are corrected by."""
 

@@ -14,6 +14,7 @@ from scanmotion.cell.error_settings import (
     Settings,
     Side,
     TwinSettings,
+    UncertaintySettings,
 )
 from scanmotion.cell.programme_settings import ProgrammeSettings
 from scanmotion.cell.scanner_presets import with_scanner_preset
@@ -37,6 +38,10 @@ class RobotSettings(Settings):
         ("A1", "A2", "A3", "A4", "A5", "A6"), description="the six joints, base to flange"
     )
     flange: str = Field("tool0", description="link whose frame is the flange (z outward)")
+    flange_axis: Literal["z", "x"] | None = Field(
+        None,
+        description="which axis of the flange points outward; default: z, and x (REP-199) is asked about",
+    )
     packages: tuple[str, ...] = Field(
         (), description="folders in which package:// of a URDF's meshes is sought"
     )
@@ -71,6 +76,7 @@ class ToolSettings(Settings):
     )
     roll_deg: Number = Field(0.0, ge=-180.0, le=180.0, description="scanner turned about its optical axis")
     mass_kg: Number = Field(5.0, gt=0.0, le=1000.0, description="fixture and scanner together")
+    plate_m: Number = Field(0.16, gt=0.0, le=1.0, description="diameter of the fixture's plate on the flange")
     scanner_size_m: tuple[Number, Number, Number] = Field(
         (0.262, 0.158, 0.063), description="housing along x, y, z of the scanner"
     )
@@ -157,6 +163,7 @@ class CellSettings(Settings):
     process: ProcessSettings = ProcessSettings.model_validate({})
     twin: TwinSettings = TwinSettings.model_validate({})
     calibration: CalibrationSettings = CalibrationSettings.model_validate({})
+    uncertainty: UncertaintySettings = UncertaintySettings.model_validate({})
     programme: ProgrammeSettings = ProgrammeSettings.model_validate({})
 
     folder: str = Field("", exclude=True, description="where the YAML lies; model paths are relative to it")
@@ -286,6 +293,21 @@ def settings_from(data: dict[str, Any], *, folder: str = "") -> CellSettings:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal")))
         raise CellError(_message(first, key, data), key=key) from None
+
+
+def cell_settings_from(source: Any) -> CellSettings:
+    """Settings of a cell, whatever names it: settings, a built-in name, a YAML file, or a mapping as in one.
+
+    Raises:
+        CellError: not one of these, or as load_cell.
+    """
+    if isinstance(source, CellSettings):
+        return source
+    if isinstance(source, str | Path):
+        return load_cell(source)
+    if isinstance(source, dict):
+        return settings_from(source)
+    raise CellError(f"a {type(source).__name__} is no cell; known: settings, a name, a YAML file, a mapping")
 
 
 def _message(first: Any, key: str, data: dict) -> str:

@@ -188,24 +188,3 @@ def reach_row(item: Any) -> tuple[str, ...]:
     why = "" if lost is None else f"{lost['cause']}: {lost['detail']}"
     remedy = "" if lost is None else lost["remedy"]
     return (record["id"], str(record["configurations"]), clearance, why, remedy)
-
-
-def robot_record(name: str, settings: Any) -> dict[str, Any]:
-    """A built-in cell and the robot in it."""
-    from scanmotion.cell.build import robot_facts
-
-    facts = robot_facts()[settings.robot.model]
-    return {"name": name} | {key: facts[key] for key in ("title", "reach_m", "payload_kg", "source")}
-
-
-def robots(json: Json = False) -> int:
-    """List the built-in robots and cells."""
-    from scanmotion.cell.settings import builtin_cells, load_cell
-
-    records = [robot_record(name, load_cell(name)) for name in builtin_cells()]
-    if json:
-        say_json(records)
-        return OK
-    rows = [tuple(str(value) for value in record.values()) for record in records]
-    print_table("Built-in cells", ("name", "robot", "reach m", "payload kg", "numbers from"), rows)
-    return OK

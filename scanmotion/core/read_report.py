@@ -8,7 +8,8 @@ from typing import Any
 class ReadReport:
     """What a file held, what was taken for what, and what was changed before use."""
 
-    path: str
+    file: str
+    """Its name, without its folder."""
     format: str
     """Kind of file in words, e.g. "PLY, ASCII"."""
     points: int

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-StopKind = Literal["revolution", "sweep", "dwell", "helix"]
+StopKind = Literal["revolution", "sweep", "dwell", "helix", "path"]
 PathMethod = Literal["line", "joint", "planned"]
 
 
@@ -15,7 +15,8 @@ class Stop:
 
     A revolution turns the table once (q_out is q_in with E1 +-2 pi), a sweep follows `path` with the table
     still, a dwell stays at q_in. A helix is several revolutions in one: the table turns on while the arm goes
-    from place to place along `ways`.
+    from place to place along `ways`. A path goes along `ways` too and stays at each place for its dwell,
+    while the table makes its `turns` one after another; neither waits for the other.
     """
 
     viewpoints: tuple[str, ...]
@@ -30,7 +31,10 @@ class Stop:
     ways: tuple[np.ndarray, ...] = ()
     """A helix's arm from each place to the next, polylines (k, 7) with the table's column constant [rad]."""
     turns: tuple[float, ...] = ()
-    """By how much a helix's table turns while the arm stands at each of its places [rad]."""
+    """By how much a helix's table turns while the arm stands at each of its places; a path's table, one turn
+    after another, with their sense [rad]."""
+    dwells: tuple[float, ...] = ()
+    """How long a path's arm stays where it begins and after each of its ways [s]."""
 
     @property
     def places(self) -> tuple[np.ndarray, ...]:

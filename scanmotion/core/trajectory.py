@@ -5,8 +5,8 @@ from typing import Literal
 
 import numpy as np
 
-OperationKind = Literal["transit", "revolution", "sweep", "dwell", "helix"]
-SCANNING: frozenset[str] = frozenset({"revolution", "sweep", "dwell", "helix"})
+OperationKind = Literal["transit", "revolution", "sweep", "dwell", "helix", "path"]
+SCANNING: frozenset[str] = frozenset({"revolution", "sweep", "dwell", "helix", "path"})
 """Kinds of operation during which the scanner captures frames."""
 
 
@@ -17,7 +17,8 @@ class Operation:
     transit: arm and table together, scanner off. revolution: the table turns once, the arm still, scanner on.
     sweep: the scanner on a straight line at constant speed relative to the part, table still, scanner on.
     dwell: everything still, scanner on. helix: the table turns on in one sense, a whole turn or more for each
-    viewpoint, while the arm goes on straight from one to the next, scanner on.
+    viewpoint, while the arm goes on straight from one to the next, scanner on. path: arm and table
+    move at once, each as it likes, scanner on.
     """
 
     index: int
@@ -79,3 +80,20 @@ def joined(first: Trajectory, second: Trajectory) -> Trajectory:
         operation=np.concatenate([first.operation, second.operation[1:] + count]),
         operations=first.operations + operations,
     )
+
+
+def piece(whole: Trajectory, first: int, last: int) -> Trajectory:
+    """The operations `first` to `last` by themselves, from time 0: what `joined` puts together."""
+    rows = np.flatnonzero((whole.operation >= first) & (whole.operation <= last))
+    # A shared instant belongs to the earlier operation.
+    begin = rows[0] if first == 0 else max(rows[0] - 1, 0)
+    span = slice(begin, rows[-1] + 1)
+    t0 = whole.operations[first].t_start
+    operations = tuple(
+        replace(o, index=o.index - first, t_start=o.t_start - t0, t_end=o.t_end - t0)
+        for o in whole.operations[first : last + 1]
+    )
+    return Trajectory(
+        t=whole.t[span] - whole.t[begin], q=whole.q[span], qd=whole.qd[span], qdd=whole.qdd[span],
+        operation=np.maximum(whole.operation[span] - first, 0), operations=operations,
+    )  # fmt: skip

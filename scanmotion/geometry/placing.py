@@ -1,5 +1,7 @@
 """From the file's frame and unit to the table: which unit, which way is up, and whether the size is sane."""
 
+from pathlib import Path
+
 import numpy as np
 
 from scanmotion.core.errors import PartError
@@ -96,7 +98,7 @@ def report_of(
     """What is to be said of a file that was read; size (3,) in metres."""
     mesh = isinstance(made, Mended)
     return ReadReport(
-        path=path, format=raw.format, points=len(made.vertices) if mesh else len(made.points),
+        file=Path(path).name, format=raw.format, points=len(made.vertices) if mesh else len(made.points),
         triangles=len(made.triangles) if mesh else 0,
         size_mm=(float(size[0]) * 1e3, float(size[1]) * 1e3, float(size[2]) * 1e3),
         units=unit, units_from=units_from, columns=raw.columns,

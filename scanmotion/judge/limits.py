@@ -88,7 +88,7 @@ def _over(code, ratio, value, bound, at, record, unit, tolerance) -> list[Findin
 
 
 def check_speed(record: PlanRecord, trajectory: Trajectory, motion: Motion) -> list[Finding]:
-    """The scanner's speed: in the world during transits and helices, relative to the part in sweeps."""
+    """The scanner's speed: in W during transits, helices and paths, relative to the part in sweeps."""
     findings = []
     steps = np.diff(trajectory.t)
     world = np.linalg.norm(np.diff(motion.X_WS[:, :3, 3], axis=0), axis=1) / steps
@@ -101,6 +101,7 @@ def check_speed(record: PlanRecord, trajectory: Trajectory, motion: Motion) -> l
         ("dwell", world, 1e-4),
         ("revolution", world, 1e-4),
         ("helix", world, process.scan_speed_m_s),
+        ("path", world, process.scan_speed_m_s),
     ):
         found = np.where(kinds == kind, speed, 0.0)
         k = int(np.argmax(found))

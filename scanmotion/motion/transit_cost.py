@@ -181,6 +181,9 @@ def stop_seconds(model: MoveModel, stop: Stop) -> float:
     if stop.kind == "helix":
         turn = abs(float(stop.q_out[6] - stop.q_in[6]))
         return float(jerk_limited_seconds(turn, model.v[6], model.a[6], model.j[6]))
+    if stop.kind == "path":
+        ways = sum(float(move_seconds(model, way[:1], way[-1:])[0]) for way in stop.ways)
+        return ways + sum(stop.dwells)
     return model.dwell_s if stop.path is None else path_seconds(model, stop.path)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.core.errors import PathError
-from scanmotion.core.tour import Path, Tour
+from scanmotion.core.tour import Path, Stop, Tour
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.motion.reach.find import Reach, reach
@@ -178,6 +178,43 @@ def _dear(cell: Cell, tour: Tour, trajectory: Trajectory, worth: Mapping[str, fl
     return dear
 
 
+def served_at(viewpoint: Viewpoint, q: np.ndarray) -> Reach:
+    """A viewpoint with what is known of its configurations, shape (k, 7)."""
+    k = len(q)
+    return Reach(
+        viewpoint=viewpoint, q=q, clearance=np.zeros(k), manipulability=np.zeros(k),
+        X_OS=np.tile(viewpoint.X_OS, (k, 1, 1)),
+    )  # fmt: skip
+
+
 def renamed(viewpoints: Sequence[Viewpoint], prefix: str) -> tuple[Viewpoint, ...]:
     """The same viewpoints with `prefix` before their ids and sweeps, so that rounds do not collide."""
     return tuple(replace(v, id=prefix + v.id, sweep=prefix + v.sweep if v.sweep else "") for v in viewpoints)
+
+
+def segment_from_operations(
+    trajectory: Trajectory, views: Mapping[str, Viewpoint], *, step: str, floor: float
+) -> Segment:
+    """The segment that a trajectory has served: executed, or read from a file.
+
+    Args:
+        trajectory: from time 0.
+        views: by id, those that it serves and maybe others.
+        step: "global" or "local".
+        floor: proven lower bound of its duration [s].
+    """
+    stops: list[Stop] = []
+    for o in trajectory.operations:
+        if o.kind == "transit":
+            continue
+        path = trajectory.q[trajectory.operation == o.index] if o.kind == "sweep" else None
+        stops.append(Stop(viewpoints=o.viewpoints, kind=o.kind, q_in=o.q_start, q_out=o.q_end, path=path))
+    served = {v: s.q_in for s in stops for v in s.viewpoints}
+    tour = Tour(
+        start_q=trajectory.q[0], stops=tuple(stops), seconds=trajectory.duration, floor=floor
+    )  # fmt: skip
+    reaches = tuple(served_at(views[v], q[None]) for v, q in served.items())
+    return Segment(
+        step=step, reaches=reaches, tour=tour, paths=(),
+        trajectory=trajectory, unreachable=(), seen=np.zeros(0, bool),
+    )  # fmt: skip

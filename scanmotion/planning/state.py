@@ -5,6 +5,7 @@ Guarantees: `extend` leaves the state that it is given as it is; going back is k
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -49,6 +50,8 @@ class PlanState:
     """Patches of surface that the local step leaves open, each with its reason."""
     joining: Joining | None = None
     """What came of joining turns, where that was allowed."""
+    motion: Mapping[str, Any] | None = None
+    """The continuous motion, as the summary tells it; None for stops."""
     searched: tuple[Segment, ...] = ()
     """The segments as they were found, where pruning has made others of them since."""
 

@@ -69,8 +69,9 @@ def filter_from(
     """
     moving = sorted((b for b in cell.bodies if 1 <= b.link <= TOOL), key=lambda b: -b.link)
     length = float(np.linalg.norm(cell.robot.X_PJ[:, :3, 3], axis=1).sum())
-    # The tool is as large on any arm.
-    covers = [_sphere_cover(b, min(1.0, length / _LONG_M) if b.link < TOOL else 1.0) for b in moving]
+    # The tool is as large on any arm, but a short one brings its wrist nearer to it.
+    scale = min(1.0, length / _LONG_M)
+    covers = [_sphere_cover(b, scale if b.link < TOOL else 1.0 if scale > 0.75 else 0.5) for b in moving]
     spheres = np.concatenate(covers)
     groups = np.array([b.link for b in moving])
     starts = np.concatenate([[0], np.cumsum([len(c) for c in covers])])

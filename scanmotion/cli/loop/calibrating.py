@@ -78,8 +78,6 @@ def _propose(
     json: bool,
 ) -> int:
     """Says which turns tell the constants best, and how well."""
-    from dataclasses import replace
-
     import numpy as np
 
     from scanmotion.geometry.parts import carving, part_from_file
@@ -92,14 +90,12 @@ def _propose(
     scanner = settings.scanner_model()
     speed = settings.turntable.speed_rpm * np.pi / 30
     noise = ScanErrors(**settings.twin_errors())
-    none = ScanErrors.none()
-    names = ("hand_eye_m", "hand_eye_rad", "axis_m", "axis_rad", "backlash_rad", "latency_s")
     with progress_bar(quiet=quiet or json) as progress:
         progress("simulate", 0.1)
         found = best_turns(
             subject, scanner, candidate_turns(subject, scanner, speed=speed), count=turns, seed=seed,
             acceleration=settings.turntable.acceleration_rad_s2, fps=settings.process.fps,
-            errors=replace(noise, **{n: getattr(none, n) for n in names}),
+            errors=noise.without_constants(),
         )  # fmt: skip
     told = {
         "turns": [t.name for t in found.turns], "expected_sd": constants_by_name(found.expected.sd),

@@ -35,6 +35,16 @@ class RawGeometry:
     """Least difference of two coordinates that the file can tell apart, in its unit; 0 where not known."""
 
 
+BEYOND = 1e15
+"""No measured coordinate is so large, in any unit: what is stands for no number."""
+
+
+def are_numbers(points: np.ndarray) -> np.ndarray:
+    """Which points (n, 3) are finite and of a size that can have been measured, shape (n,)."""
+    with np.errstate(invalid="ignore"):
+        return (np.abs(points) < BEYOND).all(axis=1)
+
+
 def float_step(points: np.ndarray) -> float:
     """The step of single precision at the largest coordinate."""
     largest = float(np.abs(points[np.isfinite(points)]).max(initial=0.0))
@@ -130,7 +140,7 @@ def _newell(loops: np.ndarray) -> np.ndarray:
 
 def _concave(loops: np.ndarray) -> np.ndarray:
     """Which polygons (f, k, 3) have a corner that turns against their own sense, shape (f,)."""
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # corners may be no numbers
         normal = _newell(loops)
         into = loops - np.roll(loops, 1, axis=1)
         out = np.roll(loops, -1, axis=1) - loops

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import PartError
+from scanmotion.geometry.files.raw import are_numbers
 from scanmotion.geometry.mending.floor import floor_under
 from scanmotion.geometry.mending.keys import equal_points
 from scanmotion.geometry.mending.outward import disagreeing, look_inwards, spacing_of_points
@@ -51,7 +52,7 @@ def measured_points(points: np.ndarray, normals: np.ndarray | None, path: str = 
     """
     made = MendedCloud(points=points, normals=normals)
     n = len(points)
-    bad = np.logical_not(np.isfinite(points).all(axis=1))
+    bad = np.logical_not(are_numbers(points))
     if bad.any():
         made = made.kept(~bad, f"{int(bad.sum())} of {n} points that are not finite numbers were dropped")
     zero = np.logical_not(made.points.any(axis=1))

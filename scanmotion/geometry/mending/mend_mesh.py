@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scanmotion.core.errors import PartError
+from scanmotion.geometry.files.raw import are_numbers
 from scanmotion.geometry.mending.edges import areas_of, edges_of
 from scanmotion.geometry.mending.floor import floor_under
 from scanmotion.geometry.mending.keys import row_keys
@@ -125,7 +126,7 @@ def _without_floor(
 def _finite(
     vertices: np.ndarray, triangles: np.ndarray, said: list[str], path: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    bad = np.logical_not(np.isfinite(vertices).all(axis=1))
+    bad = np.logical_not(are_numbers(vertices))
     if not bad.any():
         return vertices, triangles
     lost = bad[triangles].any(axis=1)

@@ -62,9 +62,35 @@ def floor_seconds(
     from scanmotion.cell.kinematics import scanner_in_object
 
     p_OS = np.asarray(scanner_in_object(cell, np.atleast_2d(start_q)))[0, :3, 3]
+    paths = [stop for stop in stops if stop.kind == "path"]
+    if paths:
+        places = [p_OS, *(viewpoints[v].p_OS for stop in paths for v in stop.viewpoints)]
+        others = [stop for stop in stops if stop.kind != "path"]
+        least = spanning_seconds(model, np.asarray(cell.X_TO), np.array(places))
+        return max(least, floor_seconds(cell, model, start_q, others, viewpoints))
     ends = stop_ends(np.asarray(cell.X_TO), p_OS, stops, viewpoints)
     scanning = sum(least_scanning_seconds(model, stop, viewpoints) for stop in stops)
     return scanning + least_transit_seconds(ends, least_pair_seconds(model, ends))
+
+
+def spanning_seconds(model: MoveModel, X_TO: np.ndarray, p_OS: np.ndarray) -> float:
+    """Least time of a scanner that comes to all these places in O, shape (n, 3), without a rest [s].
+
+    However the table turns, the way from one to another is no shorter than the difference in height and in
+    distance from the axis, and a way through all is no shorter than the least tree that spans them.
+    """
+    p = p_OS @ X_TO[:3, :3].T + X_TO[:3, 3]
+    at = np.column_stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]])
+    away = np.linalg.norm(at[:, None] - at[None], axis=2)
+    # Prim's tree: edges of no length are edges too.
+    nearest, length = away[0].copy(), 0.0
+    left = np.arange(len(at)) > 0
+    while left.any():
+        k = int(np.where(left, nearest, np.inf).argmin())
+        length += float(nearest[k])
+        left[k] = False
+        nearest = np.minimum(nearest, away[k])
+    return length / max(model.scan_speed, model.transit_speed)
 
 
 def stop_ends(

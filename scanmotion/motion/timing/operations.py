@@ -18,6 +18,7 @@ from scanmotion.core.tour import Path, Stop, Tour
 from scanmotion.core.trajectory import Operation, OperationKind, Trajectory
 from scanmotion.motion.timing.helix import HelixMotion, helix_motion
 from scanmotion.motion.timing.jerk_limited import ruckig_law
+from scanmotion.motion.timing.path import PathMotion, path_motion
 from scanmotion.motion.timing.speed_profile import MARGIN, parameter_grid
 from scanmotion.motion.timing.spline import JointSpline, spline_beside, spline_through
 from scanmotion.motion.transit.drive import emitted_law, limits_of
@@ -88,7 +89,7 @@ def time_plan(
     return trajectory
 
 
-def motions(cell: Cell, tour: Tour, paths: Sequence[Path]) -> Iterable[Motion | HelixMotion]:
+def motions(cell: Cell, tour: Tour, paths: Sequence[Path]) -> Iterable[Motion | HelixMotion | PathMotion]:
     """The operations of a tour in order, each with path and law; transits that do not move are left out."""
     if len(paths) != len(tour.stops):
         raise TimingError(f"{len(tour.stops)} stops need as many paths, not {len(paths)}")
@@ -112,9 +113,11 @@ def transit_motion(cell: Cell, q: np.ndarray, viewpoints: tuple[str, ...] = ()) 
     )
 
 
-def _stop_motion(cell: Cell, stop: Stop) -> Motion | HelixMotion:
+def _stop_motion(cell: Cell, stop: Stop) -> Motion | HelixMotion | PathMotion:
     if stop.kind == "helix":
         return helix_motion(cell, stop)
+    if stop.kind == "path":
+        return path_motion(cell, stop)
     if stop.kind == "dwell":
         dwell_s = float(cell.settings.process.dwell_s)
         return Motion(
@@ -218,7 +221,9 @@ def _check_range(cell: Cell, path: JointSpline, viewpoints: tuple[str, ...]) -> 
         )
 
 
-def _sampled(placed: Sequence[Motion | HelixMotion], start_q: np.ndarray, sample_s: float) -> Trajectory:
+def _sampled(
+    placed: Sequence[Motion | HelixMotion | PathMotion], start_q: np.ndarray, sample_s: float
+) -> Trajectory:
     """The operations one after another, each ending on a whole 10 ms, sampled evenly."""
     if not placed:
         still = np.zeros((1, 7))

@@ -9,6 +9,7 @@ STATUS_COLOURS = ("#4c8bc4", "#f2a33a", "#c8102e", "#8a8a8a")
 
 OPERATION_COLOURS = {
     "transit": "#8a8a8a", "revolution": "#4c8bc4", "sweep": "#f2a33a", "dwell": "#2e9e6b", "helix": "#7b3fa0",
+    "path": "#b5446e",
 }  # fmt: skip
 TIME_COLOURS = {"arm": "#8a8a8a", "table": "#4c8bc4", "sweep": "#f2a33a", "dwell": "#2e9e6b"}
 HOLE_COLOURS = {"common": "#c8102e", "interstitial": "#7b3fa0", "edge": "#e07b00", "island": "#00857c"}

@@ -1,6 +1,6 @@
 """Where and when frames are taken, and what arm, table and scanner get wrong: the inputs of the scan twin."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,6 +101,12 @@ class ScanErrors:
             (*self.hand_eye_m, *self.hand_eye_rad, *self.axis_m, *self.axis_rad)
         )
 
+    def without_constants(self) -> "ScanErrors":
+        """The noise alone."""
+        none = ScanErrors()
+        names = ("hand_eye_m", "hand_eye_rad", "axis_m", "axis_rad", "backlash_rad", "latency_s")
+        return replace(self, **{n: getattr(none, n) for n in names})
+
     @staticmethod
     def none() -> "ScanErrors":
         """A perfect measurement."""
@@ -188,6 +194,23 @@ def later(captures: Captures, dt: np.ndarray | float) -> Captures:
     X_WS[:, :3, 3] += step[:, :3]
     X_WS[:, :3, :3] = Rotation.from_rotvec(step[:, 3:6]).as_matrix() @ X_WS[:, :3, :3]
     return replace(captures, X_WS=X_WS, table_angle=captures.table_angle + step[:, 6])
+
+
+def joined_captures(captures: Sequence[Captures]) -> Captures:
+    """The frames of several scans of one cell in a row; times go on as they are.
+
+    Raises:
+        InputError: there are none.
+    """
+    if not captures:
+        raise InputError("no captures to join")
+    first = captures[0]
+    optional = {}
+    for name in ("table_sense", "rates"):
+        values = [getattr(c, name) for c in captures]
+        optional[name] = None if any(v is None for v in values) else np.concatenate(values)
+    stacked = {k: np.concatenate([getattr(c, k) for c in captures]) for k in ("t", "X_WS", "table_angle")}
+    return Captures(X_WT=first.X_WT, X_TO=first.X_TO, **stacked, **optional)
 
 
 def still_captures(X_OS: np.ndarray, *, fps: float = 10.0) -> Captures:

@@ -1,0 +1,148 @@
+"""One continuous motion: sight by directions, the table's travel, limits, the search, a judged plan."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_plan import TINY, pitted
+
+from scanmotion.cell.settings import load_cell
+from scanmotion.core.errors import InputError
+from scanmotion.core.viewpoint import look_at
+from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.geometry.revolved import swept_part
+from scanmotion.judge import verify
+from scanmotion.motion.continuous.options import ContinuousOptions
+from scanmotion.motion.continuous.table_travel import MOST_PIECES, angle_at, pieces_of
+from scanmotion.motion.timing.path import turns_in
+from scanmotion.plan_io.read import read_json
+from scanmotion.planning.pipeline import PlanOptions, plan
+from scanmotion.sensing.sight import cell_of, masks_of, octahedral, sight_from, unpacked
+from scanmotion.sensing.visibility import revolution_poses, scene_from, sees
+
+FEW = ContinuousOptions(places=4000, hard=1200, evaluations=400, again=100, rounds=3, azimuths_deg=(0.0,))
+
+
+@pytest.fixture(scope="module")
+def moving():
+    """A block with a pit, scanned by one motion that was hardly searched for."""
+    options = PlanOptions(seed=5, motion="continuous", search=FEW, **TINY)
+    return plan(pitted(), load_cell("kr240"), options=options)
+
+
+def test_every_direction_falls_into_its_own_cell():
+    d = octahedral(24)
+    assert [cell_of(*v, 24) for v in d] == list(range(24 * 24))
+    assert np.allclose(np.linalg.norm(d, axis=1), 1.0)
+
+
+def test_sight_by_directions_agrees_with_rays():
+    part = pitted()
+    scanner = load_cell("kr240").scanner_model()
+    s = surface_samples(part, 3000, rng=np.random.default_rng(1))
+    scene = scene_from(part.vertices, part.triangles, table_radius=0.5)
+    sight = sight_from(scene, scanner, s.points, s.normals)
+    X = look_at(np.array([0.62, 0.1, 0.45]), np.array([-1.0, -0.1, -0.5]), roll=0.4)
+    masks = masks_of(sight, X[None], 2 * np.pi * np.arange(30) / 30)
+    ours = unpacked(masks[0], len(s.points))
+    true = sees(scene, scanner, revolution_poses(X, 30), s.points, s.normals)
+    assert true.any(axis=1).all()
+    assert (ours != true).mean() < 0.003
+
+
+def test_a_convex_part_hides_nothing_but_its_far_side():
+    box, scanner = box_part(0.2, 0.15, 0.2), load_cell("kr240").scanner_model()
+    s = surface_samples(box, 2000, rng=np.random.default_rng(2))
+    top = s.normals[:, 2] > 0.9
+    sight = sight_from(scene_from(box.vertices, box.triangles), scanner, s.points[top], s.normals[top])
+    X = look_at(np.array([0.3, 0.0, 0.7]), np.array([-0.3, 0.0, -0.5]))
+    assert unpacked(masks_of(sight, X[None], np.zeros(1))[0, 0], int(top.sum())).all()
+
+
+def test_the_swept_solid_holds_the_part_at_every_angle(lump):
+    swept = swept_part(lump)
+    low, high = swept.bounds
+    assert low[2] == pytest.approx(lump.bounds[0, 2]) and high[2] == pytest.approx(lump.bounds[1, 2])
+    import open3d as o3d
+
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(swept.vertices.astype(np.float32), swept.triangles.astype(np.uint32))
+    for angle in np.linspace(0.0, 6.0, 7):
+        c, s = np.cos(angle), np.sin(angle)
+        p = lump.vertices @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]).T
+        assert scene.compute_signed_distance(p.astype(np.float32)).numpy().max() < 1e-5
+
+
+@pytest.mark.parametrize("total", [1.0, 5.0, 14.0, 40.0, 75.0])
+def test_the_search_and_the_drive_agree_on_the_tables_angle(kr240_cell, total):
+    cell = kr240_cell
+    v, a, j = (float(x[6]) for x in (cell.v_max, cell.a_max, cell.j_max))
+    ramp, room, first = v / a + a / j, float(cell.q_max[6]), 9.0
+    pieces = np.zeros((MOST_PIECES, 3))
+    n = pieces_of(total, first, first + room, 2 * room, v, ramp, pieces)
+    angles = np.array([angle_at(t, pieces, n, 1.0, v, ramp, 0.0) for t in np.linspace(0, total, 2000)])
+    assert np.abs(angles).max() <= room + 1e-9
+    assert np.abs(np.diff(angles)).max() <= v * total / 1999 * 1.0001
+    turns = turns_in(cell, total, 0.0, 1.0, first)
+    # Both leave the same room: ramps differ in shape, not in angle.
+    assert abs(sum(turns) - angles[-1]) < 0.35
+    assert np.abs(np.cumsum(turns)).max() <= room + 1e-9
+
+
+def test_a_continuous_plan_passes_the_judge(moving, tmp_path):
+    assert moving.findings == ()
+    (operation,) = moving.trajectory.operations
+    assert operation.kind == "path" and operation.scanning
+    assert moving.completeness()["final"] > 0.9
+    assert moving.time_s()["floor"] <= moving.time_s()["total"]
+    moving.save(tmp_path / "plan")
+    told = read_json(tmp_path / "plan", "summary.json")["motion"]
+    assert told["kind"] == "continuous" and told["seconds"] == pytest.approx(operation.t_end, abs=0.02)
+    assert verify(tmp_path / "plan") == []
+
+
+def test_the_motion_starts_at_home_and_keeps_its_limits(moving):
+    t, cell = moving.trajectory, moving.cell
+    assert np.allclose(t.q[0], cell.home)
+    assert np.abs(t.qd[[0, -1]]).max() < 1e-9
+    for values, limit in ((t.qd, cell.v_max), (t.qdd, cell.a_max)):
+        assert (np.abs(values) <= limit * (1 + 1e-6)).all()
+    # The derivatives are those of the positions.
+    assert np.abs(np.gradient(t.q, t.t, axis=0)[2:-2] - t.qd[2:-2]).max() < 5e-3
+
+
+def test_the_judge_sees_a_path_that_is_driven_too_fast(moving, tmp_path):
+    t, faster = moving.trajectory, 0.6
+    (o,) = t.operations
+    quick = replace(
+        t, t=t.t * faster, qd=t.qd / faster, qdd=t.qdd / faster**2,
+        operations=(replace(o, t_end=o.t_end * faster),),
+    )  # fmt: skip
+    codes = {f.code for f in replace(moving, trajectory=quick).findings}
+    assert {"tcp_speed", "velocity"} <= codes
+
+
+def test_the_judge_misses_a_viewpoint_that_a_path_does_not_pass(moving):
+    segment = moving.segments[0]
+    away = segment.reaches[0].viewpoint
+    X = away.X_OS.copy()
+    X[2, 3] += 0.02
+    reaches = (replace(segment.reaches[0], viewpoint=away.moved(X)), *segment.reaches[1:])
+    wrong = replace(moving, segments=(replace(segment, reaches=reaches),))
+    assert any(f.code == "viewpoint" and f.where == away.id for f in wrong.findings)
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        {"motion": "continuous", "source": "box"},
+        {"motion": "continuous", "mode": "paper"},
+        {"motion": "continuous", "helix": True},
+        {"motion": "slow"},
+        {"completeness": 0.9},
+        {"motion": "continuous", "completeness": 1.5},
+    ],
+)
+def test_what_cannot_be_asked_for_is_refused(told):
+    with pytest.raises(InputError):
+        PlanOptions(**told)
