@@ -116,6 +116,9 @@ def _geometry(header: Header, tables: dict[str, Table], data: bytes) -> RawGeome
         if table.faces is None:
             if names[name].count and (name in FACE_NAMES or "strip" in name):
                 raise PartError(f"PLY file whose {names[name].count} {name} elements hold no list of corners")
+            lists = any(p.length and p.kind[0] in "iu" for p in names[name].properties)
+            if lists and names[name].count and not any(t.faces for t in tables.values()):
+                raise PartError(f"PLY file whose {names[name].count} {name} elements are not understood")
             if names[name].count:
                 notes.append(f"{names[name].count} {name} elements are no faces and were left out")
             continue
@@ -156,6 +159,7 @@ def _unstripped(strips: Polygons) -> Polygons:
     ends = np.cumsum(strips.counts)
     for first, end in zip(ends - strips.counts, ends, strict=True):
         run = strips.corners[first:end]
+        run = np.where(run == 0xFFFFFFFF, -1, run)
         for piece in np.split(run, np.flatnonzero(run == -1)):
             piece = piece[1:] if len(piece) and piece[0] == -1 else piece
             if len(piece) < 3:
