@@ -94,6 +94,8 @@ def mended(
         n = counted(int(speck.sum()), "triangle")
         said.append(f"{counted(specks, 'speck')} ({n}) floating off the part left out")
         triangles = triangles[~speck]
+    if len(triangles) == 0:
+        raise PartError("no surface is left once flaps and specks are dropped", path=path)
     side = sided(vertices, triangles)
     vertices, triangles = _used(vertices, side.triangles, said)
     return Mended(
@@ -119,6 +121,8 @@ def _without_floor(
         )
         return triangles
     keep = floor.above(vertices)[triangles].all(axis=1)
+    if not keep.any():
+        return triangles
     said.append(
         f"a plane {floor.size:.4g} wide under it (table or floor, {int((~keep).sum())} triangles) was cut off"
     )
