@@ -38,6 +38,10 @@ class RobotSettings(Settings):
         ("A1", "A2", "A3", "A4", "A5", "A6"), description="the six joints, base to flange"
     )
     flange: str = Field("tool0", description="link whose frame is the flange (z outward)")
+    flange_axis: Literal["z", "x"] | None = Field(
+        None,
+        description="which axis of the flange points outward; default: z, and x (REP-199) is asked about",
+    )
     packages: tuple[str, ...] = Field(
         (), description="folders in which package:// of a URDF's meshes is sought"
     )
@@ -72,6 +76,7 @@ class ToolSettings(Settings):
     )
     roll_deg: Number = Field(0.0, ge=-180.0, le=180.0, description="scanner turned about its optical axis")
     mass_kg: Number = Field(5.0, gt=0.0, le=1000.0, description="fixture and scanner together")
+    plate_m: Number = Field(0.16, gt=0.0, le=1.0, description="diameter of the fixture's plate on the flange")
     scanner_size_m: tuple[Number, Number, Number] = Field(
         (0.262, 0.158, 0.063), description="housing along x, y, z of the scanner"
     )
@@ -288,6 +293,21 @@ def settings_from(data: dict[str, Any], *, folder: str = "") -> CellSettings:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal")))
         raise CellError(_message(first, key, data), key=key) from None
+
+
+def cell_settings_from(source: Any) -> CellSettings:
+    """Settings of a cell, whatever names it: settings, a built-in name, a YAML file, or a mapping as in one.
+
+    Raises:
+        CellError: not one of these, or as load_cell.
+    """
+    if isinstance(source, CellSettings):
+        return source
+    if isinstance(source, str | Path):
+        return load_cell(source)
+    if isinstance(source, dict):
+        return settings_from(source)
+    raise CellError(f"a {type(source).__name__} is no cell; known: settings, a name, a YAML file, a mapping")
 
 
 def _message(first: Any, key: str, data: dict) -> str:
