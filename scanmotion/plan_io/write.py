@@ -44,6 +44,7 @@ def plan_record(plan: Plan) -> PlanRecord:
     """The plan in the schema of plan.json."""
     cell, process = plan.cell, plan.cell.settings.process
     frames, cycle = {7: "flange", 8: "table", 9: "world"}, plan.cycle
+    solvers = plan.solvers
     assert cycle is not None
 
     def finite(values: np.ndarray) -> list[float | None]:
@@ -77,7 +78,7 @@ def plan_record(plan: Plan) -> PlanRecord:
                 for b in cell.bodies if b.link in frames
             ],
             "urdf_file": "robot.urdf", "part_file": "part.ply", "cell_file": "cell.json",
-            "viewpoints": [_view_record(v) for v in plan.viewpoints],
+            "viewpoints": [_view_record(v, solvers.get(v.id, "")) for v in plan.viewpoints],
             "unreachable": [pair for item in plan.segments for pair in item.unreachable],
             "operations": [
                 {
@@ -91,11 +92,11 @@ def plan_record(plan: Plan) -> PlanRecord:
     )  # fmt: skip
 
 
-def _view_record(v: Viewpoint) -> dict[str, object]:
+def _view_record(v: Viewpoint, solver: str) -> dict[str, object]:
     return {
         "id": v.id, "X_OS": v.X_OS.tolist(), "standoff_m": v.standoff, "step": v.step, "kind": v.kind,
         "sweep": v.sweep, "slack_standoff_m": v.slack.standoff, "slack_tilt_rad": v.slack.tilt,
-        "slack_roll": v.slack.roll, "note": v.note,
+        "slack_roll": v.slack.roll, "note": v.note, "solver": solver,
     }  # fmt: skip
 
 
