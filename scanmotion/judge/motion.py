@@ -11,7 +11,8 @@ from defusedxml.ElementTree import fromstring
 
 from scanmotion.core.errors import PlanFileError
 from scanmotion.core.trajectory import Trajectory
-from scanmotion.plan_io.schema import PlanRecord, read_text
+from scanmotion.plan_io.read import read_text
+from scanmotion.plan_io.schema import PlanRecord
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

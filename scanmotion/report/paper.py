@@ -20,6 +20,7 @@ from scanmotion.motion.order.tsp import tour_from_cost
 from scanmotion.planning.comparison import HEADER, Row, cells, compare
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.pipeline import plan
+from scanmotion.planning.plan import Plan
 from scanmotion.report.assessment import Assessment, histogram_figure, map_figure
 from scanmotion.report.figures.maps import coverage_figure, hole_figure, new_figure, reach_figure
 from scanmotion.report.page import image, page, table
@@ -60,7 +61,7 @@ class PaperExperiments:
     part: Part
     settings: CellSettings
     table: tuple[Row, ...]
-    made: Any
+    made: Plan
     """The plan of the default method."""
     tour: TourLengths
 
