@@ -9,7 +9,6 @@ first hexadecimal digits of a hash of each stage's arrays. Meanwhile one process
 
 import argparse
 import hashlib
-import multiprocessing
 import os
 import subprocess
 import sys
@@ -79,19 +78,13 @@ def one_run() -> str:
     return " ".join(f"{name} {told}" for name, told in zip(STAGES, hashes, strict=True))
 
 
-def burn() -> None:
-    """Keeps a core busy for ever."""
-    count = 0
-    while True:
-        count += 1
+BURN = "while True: pass"
+"""What a process does that keeps a core busy."""
 
 
 def lines_under_load(threads: list[int], runs: int) -> list[tuple[int, str]]:
     """(threads, line) of each run, the thread counts in turn, while every core is kept busy."""
-    context = multiprocessing.get_context("spawn")
-    burners = [context.Process(target=burn, daemon=True) for _ in range(os.cpu_count() or 1)]
-    for burner in burners:
-        burner.start()
+    busy = [subprocess.Popen([sys.executable, "-c", BURN]) for _ in range(os.cpu_count() or 1)]
     try:
         found = []
         for n in range(runs):
@@ -108,7 +101,7 @@ def lines_under_load(threads: list[int], runs: int) -> list[tuple[int, str]]:
             print(count, found[-1][1], flush=True)
         return found
     finally:
-        for burner in burners:
+        for burner in busy:
             burner.kill()
 
 
