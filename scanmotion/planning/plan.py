@@ -300,9 +300,7 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
         "part.ply": ply_bytes(solid.vertices, solid.triangles),
         "cell.json": plan.cell.settings.model_dump_json(indent=1) + "\n",
         "holes.json": json_text({"units": "m", "holes": hole_records(plan.holes)}),
-        "scan.npz": arrays_data(
-            plan.cloud, plan.samples, plan.visible, [item.seen for item in plan.segments]
-        ),
+        "scan.npz": arrays_data(plan.cloud, plan.samples, plan.visible, plan.segments),
         **frame_files(plan.trajectory, plan.viewpoints, plan.cell),
     }
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from scanmotion.core.part import SurfaceSamples
+from scanmotion.planning.segment import Segment
 from scanmotion.sensing.fusion.fuse import Cloud
 from scanmotion.sensing.holes.find import HoleReport
 
@@ -27,7 +28,7 @@ def arrays_data(
     cloud: Cloud | None,
     samples: SurfaceSamples | None,
     visible: np.ndarray | None,
-    seen: Sequence[np.ndarray],
+    segments: Sequence[Segment],
 ) -> bytes:
     """What pictures need: the fused cloud, and which surface samples were seen when."""
     arrays: dict[str, np.ndarray] = {}
@@ -41,7 +42,7 @@ def arrays_data(
             "samples": samples.points.astype(np.float32),
             "sample_normals": samples.normals.astype(np.float32),
             "visible": visible,
-            "seen": np.stack(seen) if len(seen) else np.zeros((0, 0), bool),
+            "seen": np.stack([one.seen for one in segments]) if segments else np.zeros((0, 0), bool),
         }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
