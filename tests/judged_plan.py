@@ -18,7 +18,7 @@ from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.settings import load_cell
 from scanmotion.core.viewpoint import Slack, Viewpoint
 from scanmotion.geometry.parts import box_part
-from scanmotion.planning.plan import plan_files, plan_record
+from scanmotion.plan_io.write import plan_files
 
 STANDOFF = 0.6
 KINDS = ["transit", "revolution", "transit", "sweep", "transit", "dwell"]
@@ -77,7 +77,6 @@ def hand_made_plan():
         dropped=(), unscanned=(),
     )  # fmt: skip
     plan.cycle = plan.trajectory
-    plan.record = lambda: plan_record(plan)
     return plan
 
 

@@ -15,7 +15,7 @@ from scanmotion.judge import verify
 from scanmotion.motion.continuous.options import ContinuousOptions
 from scanmotion.motion.continuous.table_travel import MOST_PIECES, angle_at, pieces_of
 from scanmotion.motion.timing.path import turns_in
-from scanmotion.plan_io.schema import read_json
+from scanmotion.plan_io.read import read_json
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.sensing.sight import cell_of, masks_of, octahedral, sight_from, unpacked
 from scanmotion.sensing.visibility import revolution_poses, scene_from, sees

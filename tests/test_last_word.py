@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fcl_check import FclCell
+from judging import findings_of, summarised
 from test_clearance import trough
 
 from scanmotion.cell.build import build_cell
@@ -13,7 +14,6 @@ from scanmotion.cell.collision.last_word import DrakeJudge
 from scanmotion.cell.collision.sphere_filter import filter_from
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.settings import settings_from
-from scanmotion.cli.planning import passes
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint, look_at
 from scanmotion.geometry.parts import box_part
@@ -174,5 +174,6 @@ def test_a_plan_whose_filter_is_blind_to_an_obstacle_fails_its_check(monkeypatch
     monkeypatch.setattr(clearance, "filter_from", blind)
     planned = plan(part, settings_from({"obstacles": [box]}), options=options)
     assert planned.last_word is not None and planned.last_word.findings
-    assert any("Drake" in str(f) for f in planned.findings)
-    assert planned.summary["drake"]["findings"] > 0 and not passes(planned.summary)
+    assert any("Drake" in str(f) for f in findings_of(planned))
+    summary = summarised(planned).summary
+    assert summary.drake.findings > 0 and not summary.passes

@@ -19,9 +19,9 @@ from scanmotion.export import export_plan
 from scanmotion.export.source import write_files
 from scanmotion.geometry.parts import box_part
 from scanmotion.judge import verify
-from scanmotion.plan_io.schema import read_plan
-from scanmotion.planning.plan import plan_files
-from scanmotion.planning.resume import rest_files
+from scanmotion.plan_io.read import read_plan
+from scanmotion.plan_io.resume import rest_files
+from scanmotion.plan_io.write import plan_files
 
 CLI = CliRunner()
 

@@ -11,6 +11,7 @@ from scanmotion.cli.loop.accepting import acceptance
 from scanmotion.cli.loop.assessing import assess
 from scanmotion.cli.loop.calibrating import calibrate
 from scanmotion.cli.loop.jobs import job_app
+from scanmotion.cli.loop.papering import paper
 from scanmotion.cli.planning import plan
 from scanmotion.cli.robots import robots_app
 from scanmotion.cli.running import run
@@ -23,6 +24,7 @@ for _command, _panel, _example in (
     (verify, "Plan", "scanmotion verify out"),
     (show, "Plan", "scanmotion show out"),
     (export, "Plan", "scanmotion export out --to krl"),
+    (paper, "Plan", "scanmotion paper --out paper.html"),
     (run, "Plan", "scanmotion run out --controller sim"),
     (compare, "Plan", "scanmotion compare --variants two-step,cad-slicing --seeds 3 --out table.md"),
     (inspect, "One stage alone", "scanmotion inspect statue.stl --picture statue.png"),

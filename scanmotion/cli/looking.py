@@ -1,13 +1,16 @@
 """`scanmotion verify`, `show` and `export`: what is done with a plan's folder."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from scanmotion.cli.app import CHECK_FAILED, OK, print_table, progress_bar, say_json
 from scanmotion.cli.inputs import OUT, Json, Quiet, write_text
 from scanmotion.core.errors import InputError
+
+if TYPE_CHECKING:
+    from scanmotion.planning.plan import Plan
 
 Folder = Annotated[Path, typer.Argument(help="Folder that `scanmotion plan` wrote.")]
 
@@ -29,13 +32,17 @@ def verify(
     if plan is not None:
         raise InputError("--plan: belongs to a programme's file, not to a plan's folder")
     from scanmotion.judge import verify as judge
+    from scanmotion.judge.left_out import not_judged
 
     with progress_bar(quiet=quiet or json):
         findings = judge(folder)
     if json:
-        say_json({"ok": not findings, "findings": [str(f) for f in findings]})
+        told = {"ok": not findings, "findings": [str(f) for f in findings]}
+        say_json(told | {"not_judged": not_judged(folder)})
     elif not quiet:
         _say_findings([str(f) for f in findings])
+        rows = [(pair["a"], pair["b"], pair["reason"]) for pair in not_judged(folder)]
+        print_table("Pairs that are not judged", ("", "", "reason"), rows)
     return CHECK_FAILED if findings else OK
 
 
@@ -89,7 +96,7 @@ def show(
     if live:
         return _serve(plan, browser=browser)
     with progress_bar(quiet=quiet) as progress:
-        for name, text in pages(plan, progress).items():
+        for name, text in pages(plan, progress=progress).items():
             write_text(folder / name, text)
             if not quiet:
                 typer.echo(str(folder / name))
@@ -98,7 +105,7 @@ def show(
     return OK
 
 
-def _serve(plan: object, *, browser: bool) -> int:
+def _serve(plan: "Plan", *, browser: bool) -> int:
     from threading import Event
 
     from scanmotion.report.scene import live_scene
@@ -125,8 +132,8 @@ def _rest_folder(folder: Path, out: Path | None, step: int | None, at: str | Non
     import numpy as np
 
     from scanmotion.controller.log import EXECUTED, read_executed
-    from scanmotion.plan_io.schema import atomic_folder
-    from scanmotion.planning.resume import rest_files
+    from scanmotion.plan_io.files import atomic_folder
+    from scanmotion.plan_io.resume import rest_files
 
     if out is None or out.resolve() == folder.resolve():
         raise InputError("--rest and --step write a plan of their own: name a folder for it (--out)")

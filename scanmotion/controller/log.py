@@ -14,7 +14,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from scanmotion.core.errors import PlanFileError
-from scanmotion.plan_io.schema import json_text, read_json, read_text
+from scanmotion.plan_io.read import read_json, read_text
+from scanmotion.plan_io.write import json_text
 
 LOG, EXECUTED = "run.csv", "executed.json"
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")

@@ -17,7 +17,7 @@ from scanmotion.judge.helix import check_helices
 from scanmotion.judge.limits import check_limits, check_record, check_settings, check_speed
 from scanmotion.judge.motion import motion_from
 from scanmotion.judge.views import check_operations, check_viewpoints
-from scanmotion.plan_io.schema import read_json, read_plan, read_trajectory
+from scanmotion.plan_io.read import read_json, read_plan, read_trajectory
 
 __all__ = ["Finding", "verify"]
 

@@ -5,7 +5,6 @@ where the robot stands to where the first of them begins is planned.
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,18 +12,13 @@ from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.core.errors import InputError, PathError
 from scanmotion.core.trajectory import Trajectory, joined
+from scanmotion.core.trajectory import piece as piece_of
 from scanmotion.motion.transit.plan import transit
 from scanmotion.plan_io.frames import frame_files
 from scanmotion.plan_io.load import cell_of, viewpoint_of
-from scanmotion.plan_io.schema import (
-    PlanRecord,
-    csv_text,
-    json_text,
-    read_plan,
-    read_trajectory,
-    trajectory_json,
-)
-from scanmotion.planning.replan import piece_of
+from scanmotion.plan_io.read import read_plan, read_trajectory
+from scanmotion.plan_io.schema import PlanRecord
+from scanmotion.plan_io.write import csv_text, json_text, trajectory_json
 from scanmotion.planning.way_home import transit_alone
 
 _THERE = 1e-5
@@ -88,7 +82,7 @@ def _files(record: PlanRecord, cell: Cell, rest: Trajectory, folder: Path) -> di
         }
         for o in rest.operations
     ]  # fmt: skip
-    told: dict[str, Any] = record.model_dump() | {
+    told: dict[str, object] = record.model_dump() | {
         "viewpoints": [v.model_dump() for v in record.viewpoints if v.id in served],
         "unreachable": [],
         "operations": operations,
