@@ -12,6 +12,8 @@ from scanmotion.core.errors import InputError, PartError
 from scanmotion.core.part import Part
 from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.judge import verify
+from scanmotion.motion.reach.find import ANALYTIC, RESCUE
+from scanmotion.motion.refine import REFINED
 from scanmotion.plan_io.read import read_json, read_plan, read_trajectory
 from scanmotion.plan_io.schema import CSV_HEADER
 from scanmotion.plan_io.write import plan_files
@@ -123,7 +125,10 @@ def test_the_summary_has_the_contracts_keys(saved, planned):
     assert set(summary) >= {
         "viewpoints", "completeness", "accuracy", "time_s", "budget", "findings", "planning_s",
     }  # fmt: skip
-    assert set(summary["viewpoints"]) == {"global", "local", "unreachable"}
+    assert set(summary["viewpoints"]) == {"global", "local", "unreachable", "solvers"}
+    assert set(summary["viewpoints"]["solvers"]) == {v.id for s in planned.segments for v in s.served}
+    assert set(summary["viewpoints"]["solvers"].values()) <= {ANALYTIC, RESCUE, REFINED}
+    assert summary["drake"]["findings"] == 0 < summary["drake"]["checked"]
     assert all(set(u) == {"id", "reason"} for u in summary["viewpoints"]["unreachable"])
     assert set(summary["completeness"]) == {"after_global", "final", "final_of_whole"}
     assert set(summary["accuracy"]) == {"mean_abs_mm", "sd_signed_mm", "mean_signed_mm"}
@@ -152,7 +157,9 @@ def test_the_summary_counts_what_the_plan_holds(saved, planned):
     summary, record = read_json(saved[0], "summary.json"), read_plan(saved[0])
     trajectory = read_trajectory(saved[0], record)
     time = summary["time_s"]
-    assert time["total"] == pytest.approx(trajectory.duration, abs=1e-3)
+    # What is written is the cycle: the scan, and the way home behind it.
+    assert time["cycle"] == pytest.approx(trajectory.duration, abs=1e-3)
+    assert time["total"] == pytest.approx(max(o.t_end for o in record.operations if o.viewpoints), abs=1e-3)
     assert time["arm"] + time["table"] + time["sweep"] + time["dwell"] == pytest.approx(
         time["total"], abs=0.01
     )

@@ -31,6 +31,8 @@ class ViewpointSummary(Open):
     global_: Count = Field(alias="global")
     local: Count
     unreachable: list[LeftOut]
+    solvers: dict[str, str] = {}
+    """Which solver found the pose of each viewpoint that is served, by id."""
 
 
 class Completeness(Open):

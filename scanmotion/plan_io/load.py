@@ -146,7 +146,8 @@ def _segments(
                 )
             )  # fmt: skip
         first = max(first, end)
-    return _with_viewpoints(found, views, dict(record.unreachable))
+    solvers = {v.id: v.solver for v in record.viewpoints}
+    return _with_viewpoints(found, views, dict(record.unreachable), solvers)
 
 
 def _whole(trajectory: Trajectory, first: int, end: int) -> bool:
@@ -175,7 +176,7 @@ def _ends(trajectory: Trajectory, rounds: Sequence[RoundSummary]) -> list[int]:
 
 
 def _with_viewpoints(
-    segments: list[Segment], views: dict[str, Viewpoint], reasons: dict[str, str]
+    segments: list[Segment], views: dict[str, Viewpoint], reasons: dict[str, str], solvers: dict[str, str]
 ) -> list[Segment]:
     """The segments with all viewpoints in the order of the record: what is left out stands with what follows
     it.
@@ -190,7 +191,9 @@ def _with_viewpoints(
         replace(
             s,
             reaches=tuple(
-                known.get(v, served_at(view, np.zeros((0, 7)))) for v, view in views.items() if place[v] == n
+                replace(known.get(v) or served_at(view, np.zeros((0, 7))), solver=solvers[v])
+                for v, view in views.items()
+                if place[v] == n
             ),
             unreachable=tuple((v, reasons[v]) for v in views if place[v] == n and v in reasons),
         )

@@ -50,6 +50,8 @@ class ViewpointRecord(_Record):
     slack_tilt_rad: float = Field(0.0, ge=0, le=math.pi)
     slack_roll: bool = False
     note: str = Field("", max_length=1000)
+    solver: str = Field("", max_length=100)
+    """Which solver of the inverse kinematics found the pose that serves it."""
 
     _pose = field_validator("X_OS")(_rigid)
 

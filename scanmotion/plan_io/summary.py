@@ -50,6 +50,7 @@ def summary_from(plan: Plan, findings: Sequence[Finding]) -> Summary:
             "global": sum(v.step == "global" for v in served),
             "local": sum(v.step == "local" for v in served),
             "unreachable": [LeftOut(id=name, reason=reason) for name, reason in plan.unreachable],
+            "solvers": plan.solvers,
         },
         "completeness": Completeness(**_rounded(plan.completeness())),
         "within_reach": WithinReach(**_rounded(plan.within_reach())),

@@ -19,11 +19,25 @@ from scanmotion.planning.plan import Plan
 __all__ = ["csv_text", "json_text", "plan_files", "plan_record", "trajectory_json"]
 
 
+def _lost(unreachable: tuple[tuple[str, str], ...]) -> str:
+    """How many viewpoints each cause took, the commonest first, each with one example."""
+    if not unreachable:
+        return "no viewpoint was asked for: what is scanned has nothing missing, or nothing that can be seen"
+    by_cause: dict[str, list[tuple[str, str]]] = {}
+    for name, reason in unreachable:
+        cause = reason.partition(": ")[0] if ": " in reason[:40] else "other"
+        by_cause.setdefault(cause, []).append((name, reason))
+    parts = [
+        f"{cause} {len(lost)} of {len(unreachable)} viewpoints ({lost[0][0]}: {lost[0][1]})"
+        for cause, lost in sorted(by_cause.items(), key=lambda item: -len(item[1]))
+    ]
+    return "; ".join(parts)
+
+
 def plan_files(plan: Plan) -> dict[str, bytes | str]:
     """The files of a plan folder but summary.json and the pages."""
     if plan.trajectory is None:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in plan.unreachable[:3])
-        raise InputError(f"nothing could be planned: {reasons}")
+        raise InputError(f"nothing could be planned: {_lost(plan.unreachable)}")
     solid, cycle = plan.cell.part, plan.cycle
     assert solid is not None and cycle is not None
     return {
@@ -44,6 +58,7 @@ def plan_record(plan: Plan) -> PlanRecord:
     """The plan in the schema of plan.json."""
     cell, process = plan.cell, plan.cell.settings.process
     frames, cycle = {7: "flange", 8: "table", 9: "world"}, plan.cycle
+    solvers = plan.solvers
     assert cycle is not None
 
     def finite(values: np.ndarray) -> list[float | None]:
@@ -77,7 +92,7 @@ def plan_record(plan: Plan) -> PlanRecord:
                 for b in cell.bodies if b.link in frames
             ],
             "urdf_file": "robot.urdf", "part_file": "part.ply", "cell_file": "cell.json",
-            "viewpoints": [_view_record(v) for v in plan.viewpoints],
+            "viewpoints": [_view_record(v, solvers.get(v.id, "")) for v in plan.viewpoints],
             "unreachable": [pair for item in plan.segments for pair in item.unreachable],
             "operations": [
                 {
@@ -91,11 +106,11 @@ def plan_record(plan: Plan) -> PlanRecord:
     )  # fmt: skip
 
 
-def _view_record(v: Viewpoint) -> dict[str, object]:
+def _view_record(v: Viewpoint, solver: str) -> dict[str, object]:
     return {
         "id": v.id, "X_OS": v.X_OS.tolist(), "standoff_m": v.standoff, "step": v.step, "kind": v.kind,
         "sweep": v.sweep, "slack_standoff_m": v.slack.standoff, "slack_tilt_rad": v.slack.tilt,
-        "slack_roll": v.slack.roll, "note": v.note,
+        "slack_roll": v.slack.roll, "note": v.note, "solver": solver,
     }  # fmt: skip
 
 

@@ -89,6 +89,11 @@ class Plan:
         return self.segments[-1].seen if self.samples is not None and self.segments else None
 
     @property
+    def solvers(self) -> dict[str, str]:
+        """Which solver found the pose of each viewpoint that is served, by id; "" where it was given."""
+        return {v: solver for item in self.segments for v, solver in item.solvers.items()}
+
+    @property
     def seen_globally(self) -> np.ndarray:
         """Which samples the global step sees, shape (n,)."""
         nothing = np.zeros(0 if self.samples is None else len(self.samples.points), bool)

@@ -257,13 +257,16 @@ def _viewpoints(plan: Plan, summary: Summary) -> str:
     for view in plan.viewpoints:
         place = "  ".join(f"{v * 1e3:.0f}" for v in view.p_OS)
         aim = "  ".join(f"{v:+.2f}" for v in view.direction)
-        outcome = served.get(view.id) or lost.get(view.id, "")
-        rows.append((view.id, view.step, place, aim, round(view.standoff * 1e3), outcome, view.note))
+        outcome, by = (
+            served.get(view.id) or lost.get(view.id, ""),
+            summary.viewpoints.solvers.get(view.id, ""),
+        )
+        rows.append((view.id, view.step, place, aim, round(view.standoff * 1e3), outcome, by, view.note))
     known = {view.id for view in plan.viewpoints}
-    rows += [(i, "global", "", "", "", why, "") for i, why in lost.items() if i not in known]
-    header = ("viewpoint", "step", "x y z mm", "looks along", "standoff mm", "served by, or why not", "note")
+    rows += [(i, "global", "", "", "", why, "", "") for i, why in lost.items() if i not in known]
+    header = ("viewpoint", "step", "x y z mm", "looks along", "standoff mm", "served by, or why not")
     picture = image(reach_figure(plan), "viewpoints round the part") if plan.viewpoints else ""
-    return _section("Viewpoints and reach", picture, table(header, rows))
+    return _section("Viewpoints and reach", picture, table((*header, "pose by", "note"), rows))
 
 
 def _motion(plan: Plan, summary: Summary) -> str:
