@@ -6,7 +6,6 @@ everything that reads a plan.
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -50,7 +49,7 @@ def save_placed(
     return saved
 
 
-def placements_record(placed: PlacedPlan) -> dict[str, Any]:
+def placements_record(placed: PlacedPlan) -> dict[str, object]:
     """How the part stands in each placement: metres, and radians but for the tip angle."""
     return {
         "part": placed.part.name,
@@ -72,7 +71,7 @@ def placements_record(placed: PlacedPlan) -> dict[str, Any]:
     }
 
 
-def placed_summary(placed: PlacedPlan, saved: tuple[Saved, ...]) -> dict[str, Any]:
+def placed_summary(placed: PlacedPlan, saved: tuple[Saved, ...]) -> dict[str, object]:
     """What all placements achieve together."""
     return {
         "part": placed.part.name,
@@ -92,7 +91,7 @@ def placed_summary(placed: PlacedPlan, saved: tuple[Saved, ...]) -> dict[str, An
     }
 
 
-def _one(placement: Placement, saved: Saved) -> dict[str, Any]:
+def _one(placement: Placement, saved: Saved) -> dict[str, object]:
     trial, trajectory = placement.trial, placement.plan.trajectory
     return {
         "folder": placement.name,
