@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scanmotion.cli.app import CHECK_FAILED, OK, Progress, print_table, say_json
+from scanmotion.cli.pages import pages
 from scanmotion.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -72,7 +73,6 @@ def plan_placed(
     request: New, placing: "PlacementOptions", *, out: Path, html: bool, progress: Progress
 ) -> "PlacedPlan":
     """Plans all placements and writes their folder."""
-    from scanmotion.cli.planning import pages
     from scanmotion.judge import verify
     from scanmotion.plan_io.placed_folder import save_placed
     from scanmotion.planning.placements import plan_placements

@@ -31,6 +31,7 @@ from scanmotion.cli.inputs import (  # fmt: skip
     part_and_source,
     say_read,
 )
+from scanmotion.cli.pages import pages
 from scanmotion.cli.placing import New, placing_from, plan_placed, say_placed
 from scanmotion.core.errors import InputError
 
@@ -250,17 +251,6 @@ def only_with_keep(keep: Path | None, done: str, failed: Sequence[str] | None, *
     wrong = [name for name, value in given.items() if value is not None]
     if keep is not None and wrong:
         raise InputError(f"--{wrong[0]}: the plan that --keep names has it already")
-
-
-def pages(made: "Plan", progress: Progress) -> dict[str, str]:
-    """The two HTML files that go with a plan."""
-    from scanmotion.report.page import report_html
-    from scanmotion.report.scene import scene_html
-
-    progress("scene", 0.0)
-    scene = scene_html(made)
-    progress("report", 0.5)
-    return {"scene.html": scene, "report.html": report_html(made)}
 
 
 def with_budget(settings: "CellSettings", budget: float | None) -> "CellSettings":
