@@ -14,17 +14,23 @@ os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
 
 _HOMES = {  # a colon behind a name: the module itself
     "ScanMotionError": "core.errors",
+    "Part": "core.part",
+    "part_from": "geometry.part_objects",
     "part_from_file": "geometry.parts",
     "box_part": "geometry.parts",
     "carving": "geometry.parts",
     "Scanner": "core.scanner",
     "viewpoints": "viewpoints:",
+    "Viewpoint": "core.viewpoint",
+    "look_at": "core.viewpoint",
     "load_cell": "cell.settings",
+    "Cell": "cell.model",
     "build_cell": "cell.build",
     "reach": "motion.reach.find",
     "tour_from_cost": "motion.order.tsp",
     "PlanOptions": "planning.pipeline",
     "plan": "planning.pipeline",
+    "Plan": "planning.plan",
     "load_plan": "plan_io.load",
     "verify": "judge",
     "export_plan": "export",
@@ -37,13 +43,31 @@ _HOMES = {  # a colon behind a name: the module itself
 __all__ = list(_HOMES)
 
 if TYPE_CHECKING:
+    import scanmotion.report.page as report  # noqa: F401
+    import scanmotion.report.scene as show  # noqa: F401
+    import scanmotion.viewpoints as viewpoints  # noqa: F401
     from scanmotion.cell.build import build_cell as build_cell
+    from scanmotion.cell.model import Cell as Cell
     from scanmotion.cell.settings import load_cell as load_cell
     from scanmotion.core.errors import ScanMotionError as ScanMotionError
+    from scanmotion.core.part import Part as Part
     from scanmotion.core.scanner import Scanner as Scanner
+    from scanmotion.core.viewpoint import Viewpoint as Viewpoint
+    from scanmotion.core.viewpoint import look_at as look_at
+    from scanmotion.export import export_plan as export_plan
+    from scanmotion.geometry.part_objects import part_from as part_from
     from scanmotion.geometry.parts import box_part as box_part
     from scanmotion.geometry.parts import carving as carving
     from scanmotion.geometry.parts import part_from_file as part_from_file
+    from scanmotion.judge import verify as verify
+    from scanmotion.motion.order.tsp import tour_from_cost as tour_from_cost
+    from scanmotion.motion.reach.find import reach as reach
+    from scanmotion.plan_io.load import load_plan as load_plan
+    from scanmotion.planning.comparison import compare as compare
+    from scanmotion.planning.pipeline import PlanOptions as PlanOptions
+    from scanmotion.planning.pipeline import plan as plan
+    from scanmotion.planning.plan import Plan as Plan
+    from scanmotion.studies.run import study as study
 
 
 def __getattr__(name: str) -> Any:

@@ -55,12 +55,13 @@ def kr240_cell():
 @pytest.fixture(scope="session")
 def pitted_plan():
     """Both steps of a block with a pit, coarsely; plans are not changed by those who look at them."""
+    from judging import summarised
     from test_plan import TINY, pitted
 
     from scanmotion.cell.settings import load_cell
     from scanmotion.planning.pipeline import PlanOptions, plan
 
-    return plan(pitted(), load_cell("kr240"), options=PlanOptions(seed=5, **TINY))
+    return summarised(plan(pitted(), load_cell("kr240"), options=PlanOptions(seed=5, **TINY)))
 
 
 @pytest.fixture(scope="session")

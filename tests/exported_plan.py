@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from scanmotion.cell.kinematics import scanner_in_object, scanner_poses, tcp_jacobian
 from scanmotion.core.trajectory import joined
 from scanmotion.core.viewpoint import Slack, Viewpoint
-from scanmotion.planning.plan import plan_record
 
 SPEED = 0.1
 """What the sweep reaches, less a thousandth [m/s]."""
@@ -100,5 +99,5 @@ def made_by_hand(cell):
         options=SimpleNamespace(seed=7, mode="default", strategy="two-step", source="mesh"),
         segments=(SimpleNamespace(unreachable=()),), samples=None, visible=None,
     )  # fmt: skip
-    plan.record = lambda: plan_record(plan)
+    plan.cycle = plan.trajectory
     return plan

@@ -1,12 +1,17 @@
 """A plan made by hand, with the shape of the real one: quick to make, and every figure in it is known."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 
-from scanmotion.core.trajectory import Operation, Trajectory
+from scanmotion.core.summary import Summary
+from scanmotion.core.trajectory import Operation, Trajectory, piece
 from scanmotion.core.viewpoint import Viewpoint, look_at
 from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.planning.options import PlanOptions
+from scanmotion.planning.plan import Plan
+from scanmotion.planning.segment import segment_from_operations, served_at
+from scanmotion.sensing.holes.find import Hole, HoleReport
 
 
 def smooth(share):
@@ -54,7 +59,7 @@ def trajectory_through(stops, kinds, seconds, viewpoints):
 def fake_hole(kind="common"):
     turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     loop = np.column_stack([np.full(24, 0.1), 0.03 * np.cos(turn), 0.2 + 0.05 * np.sin(turn)])
-    return SimpleNamespace(
+    return Hole(
         boundary=loop,
         kind=kind,
         center=loop.mean(axis=0),
@@ -107,37 +112,28 @@ def fake_plan(cell):
         [3.0, 8.0, 2.0, 0.5],
         [("G1",), ("G1",), ("L1.1",), ("L1.1",)],
     )
+    by_id = {v.id: v for v in views}
+    turn = segment_from_operations(piece(trajectory, 0, 1), by_id, step="global", floor=12.0)
+    dwell = segment_from_operations(piece(trajectory, 2, 3), by_id, step="local", floor=0.0)
+    why = "out of reach: 3.1 m <b>"
+    lost = (*dwell.reaches, served_at(views[2], np.zeros((0, 7))))
     segments = (
-        SimpleNamespace(step="global", seen=sides.copy()),
-        SimpleNamespace(step="local", seen=sides | top),
+        replace(turn, seen=sides.copy()),
+        replace(dwell, seen=sides | top, reaches=lost, unreachable=(("L2.1", why),)),
     )
     summary = {
-        "viewpoints": {
-            "global": 1,
-            "local": 2,
-            "unreachable": [{"id": "L2.1", "reason": "out of reach: 3.1 m <b>"}],
-        },
+        "viewpoints": {"global": 1, "local": 2, "unreachable": [{"id": "L2.1", "reason": why}]},
         "completeness": {"after_global": 0.88, "final": 1.0, "final_of_whole": 0.93},
+        "rounds": [],
         "accuracy": {"mean_abs_mm": 0.08, "sd_signed_mm": 0.1, "mean_signed_mm": 0.01},
         "time_s": {"total": 13.5, "arm": 5.0, "table": 8.0, "sweep": 0.0, "dwell": 0.5, "floor": 12.0},
         "budget": {"limit_s": 152.0, "ok": True},
         "findings": [],
         "planning_s": {"total": 3.0, "motion": 2.0},
     }
-    return SimpleNamespace(
-        part=part,
-        cell=cell,
-        options=SimpleNamespace(seed=7, mode="default", strategy="two-step", source="mesh"),
-        segments=segments,
-        trajectory=trajectory,
-        cloud=None,
-        holes=SimpleNamespace(holes=(fake_hole(),), tiny=(), notes=()),
-        samples=samples,
-        visible=sides | top,
-        seen=sides | top,
-        viewpoints=views,
-        unreachable=(("L2.1", "out of reach: 3.1 m <b>"),),
-        dropped=(),
-        unscanned=(),
-        summary=summary,
-    )
+    holes = HoleReport(holes=(fake_hole(),), tiny=(), boundary_mask=np.zeros(0, bool), radius=0.0)
+    return Plan(
+        part=part, cell=cell, options=PlanOptions(seed=7), segments=segments, trajectory=trajectory,
+        cloud=None, holes=holes, samples=samples, visible=sides | top,
+        summary=Summary.model_validate(summary),
+    )  # fmt: skip

@@ -14,7 +14,7 @@ from scanmotion.geometry.parts import box_part
 from scanmotion.motion.order.helix_choice import joined_stops
 from scanmotion.motion.timing.operations import time_plan
 from scanmotion.motion.transit.plan import transits
-from scanmotion.planning.plan import plan_files, plan_record
+from scanmotion.plan_io.write import plan_files
 
 ARMS = np.deg2rad([[10, 20, -10, 5, 20, 0], [12, 14, -8, 5, 24, 4], [8, 8, -6, 0, 30, 8]])
 """The places, from home."""
@@ -58,7 +58,7 @@ def helix_plan(cell, overlap=1.0):
         segments=(SimpleNamespace(unreachable=()),), cloud=None, holes=None, samples=None,
         visible=None,
     )  # fmt: skip
-    plan.record = lambda: plan_record(plan)
+    plan.cycle = plan.trajectory
     return plan
 
 

@@ -18,7 +18,7 @@ from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.settings import load_cell
 from scanmotion.core.viewpoint import Slack, Viewpoint
 from scanmotion.geometry.parts import box_part
-from scanmotion.planning.plan import plan_files, plan_record
+from scanmotion.plan_io.write import plan_files
 
 STANDOFF = 0.6
 KINDS = ["transit", "revolution", "transit", "sweep", "transit", "dwell"]
@@ -76,7 +76,7 @@ def hand_made_plan():
         cloud=None, holes=None, samples=None, visible=None, seen=None, viewpoints=views, unreachable=(),
         dropped=(), unscanned=(),
     )  # fmt: skip
-    plan.record = lambda: plan_record(plan)
+    plan.cycle = plan.trajectory
     return plan
 
 

@@ -5,10 +5,12 @@ import itertools
 import numpy as np
 import pytest
 from judged_plan import hand_made_plan
+from judging import summarised
 from test_plan import TINY
 
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.core.tour import Stop
+from scanmotion.plan_io.load import load_plan
 from scanmotion.planning.budget import Coverage, budget_record, coverage_of
 from scanmotion.planning.pipeline import PlanOptions
 from scanmotion.planning.replan import replan
@@ -58,56 +60,56 @@ def record(made, stops, coverage):
 
 
 def test_costs_add_up_to_the_programme(record, made):
-    assert sum(c["seconds"] for c in record["costliest"]) == pytest.approx(made.trajectory.duration, abs=0.01)
-    seconds = [c["seconds"] for c in record["costliest"]]
+    assert sum(c.seconds for c in record.costliest) == pytest.approx(made.trajectory.duration, abs=0.01)
+    seconds = [c.seconds for c in record.costliest]
     assert seconds == sorted(seconds, reverse=True)
-    for cost in record["costliest"]:
-        o = made.trajectory.operations[cost["operation"]]
-        assert cost["viewpoints"] == list(o.viewpoints) and cost["kind"] == o.kind
-        assert cost["seconds"] - cost["of_which_way"] == pytest.approx(o.t_end - o.t_start, abs=0.002)
+    for cost in record.costliest:
+        o = made.trajectory.operations[cost.operation]
+        assert cost.viewpoints == list(o.viewpoints) and cost.kind == o.kind
+        assert cost.seconds - cost.of_which_way == pytest.approx(o.t_end - o.t_start, abs=0.002)
 
 
 def test_what_is_lost_is_what_nothing_else_sees(record):
-    lost = {c["kind"]: c["completeness_lost_without"] for c in record["costliest"]}
+    lost = {c.kind: c.completeness_lost_without for c in record.costliest}
     assert lost == pytest.approx({"revolution": 0.9 * 0.2, "sweep": 0.9 * 0.2, "dwell": 0.0})
 
 
 def test_by_order_counts_unions(record, made, coverage):
     ends = [o.t_end for o in made.trajectory.operations if o.scanning]
-    assert [p["seconds"] for p in record["by_order"]] == pytest.approx(ends, abs=0.01)
-    assert [p["completeness"] for p in record["by_order"]] == pytest.approx([0.72, 0.9, 0.9])
+    assert [p.seconds for p in record.by_order] == pytest.approx(ends, abs=0.01)
+    assert [p.completeness for p in record.by_order] == pytest.approx([0.72, 0.9, 0.9])
 
 
 def test_the_curve_counts_unions_of_what_is_left(record, made, stops, coverage):
-    curve = record["curve"]
-    assert curve[0]["seconds"] == pytest.approx(made.trajectory.duration, abs=0.01)
-    assert curve[0]["completeness"] == 0.9 and not curve[0]["left_out"]
-    assert curve[-1]["completeness"] == 0.0 and curve[-1]["seconds"] == pytest.approx(0.0, abs=0.01)
+    curve = record.curve
+    assert curve[0].seconds == pytest.approx(made.trajectory.duration, abs=0.01)
+    assert curve[0].completeness == 0.9 and not curve[0].left_out
+    assert curve[-1].completeness == 0.0 and curve[-1].seconds == pytest.approx(0.0, abs=0.01)
     left = list(range(len(stops)))
     for point in curve[1:]:
-        gone = [n for n in left if set(stops[n].viewpoints) == set(point["left_out"])]
+        gone = [n for n in left if set(stops[n].viewpoints) == set(point.left_out)]
         assert len(gone) == 1
         left.remove(gone[0])
         union = np.any([coverage.masks[n] for n in left], axis=0).mean() if left else 0.0
-        assert point["completeness"] == pytest.approx(0.9 * union, abs=1e-6)
+        assert point.completeness == pytest.approx(0.9 * union, abs=1e-6)
     assert not left
     for a, b in itertools.pairwise(curve):
-        assert a["completeness"] >= b["completeness"] and a["seconds"] >= b["seconds"]
+        assert a.completeness >= b.completeness and a.seconds >= b.seconds
     # What adds nothing goes first.
-    assert curve[1]["left_out"] == list(stops[2].viewpoints)
+    assert curve[1].left_out == list(stops[2].viewpoints)
 
 
 def test_inside_the_budget_nothing_is_advised(made, stops, coverage):
     record = budget_record(with_limit(made.cell, 1000.0), made.trajectory, stops, 9.0, coverage)
-    assert record["ok"] and record["advice"] == [] and record["curve"]
+    assert record.ok and record.advice == [] and record.curve
 
 
 def test_over_the_budget_something_is_always_advised(made, stops, coverage):
     for limit, seen in itertools.product((1.0, 10.0, made.trajectory.duration - 0.1), (coverage, None)):
         record = budget_record(with_limit(made.cell, limit), made.trajectory, stops, 9.0, seen)
-        assert not record["ok"] and record["advice"]
-        assert any("no order" in a for a in record["advice"]) == (limit < 9.0)
-        assert seen is not None or (record["curve"] == [] == record["by_order"])
+        assert not record.ok and record.advice
+        assert any("no order" in a for a in record.advice) == (limit < 9.0)
+        assert seen is not None or (record.curve == [] == record.by_order)
 
 
 def test_coverage_is_what_the_twin_sees(made, kr240_cell):
@@ -145,12 +147,12 @@ def planned(pitted_plan, tmp_path_factory):
 
 def test_the_summary_agrees_with_the_plan(planned):
     _, result = planned
-    budget = result.summary["budget"]
-    assert budget["ok"] and budget["advice"] == []
-    assert budget["curve"][0]["completeness"] == pytest.approx(result.completeness()["final"], abs=1e-5)
-    assert budget["by_order"][-1]["completeness"] == budget["curve"][0]["completeness"]
-    assert budget["by_order"][-1]["seconds"] == pytest.approx(result.trajectory.duration, abs=0.01)
-    left_out = [v for p in budget["curve"] for v in p["left_out"]]
+    budget = result.summary.budget
+    assert budget.ok and budget.advice == []
+    assert budget.curve[0].completeness == pytest.approx(result.completeness()["final"], abs=1e-5)
+    assert budget.by_order[-1].completeness == budget.curve[0].completeness
+    assert budget.by_order[-1].seconds == pytest.approx(result.trajectory.duration, abs=0.01)
+    left_out = [v for p in budget.curve for v in p.left_out]
     served = [v.id for item in result.segments for v in item.served]
     assert sorted(left_out) == sorted(served)
 
@@ -158,23 +160,21 @@ def test_the_summary_agrees_with_the_plan(planned):
 def test_advice_comes_true(planned, tmp_path):
     """Leaving out what the curve leaves out gives about the seconds and the completeness that it says."""
     folder, result = planned
-    curve = result.summary["budget"]["curve"]
+    curve = result.summary.budget.curve
     count = len(curve) // 2
-    left_out = [v for p in curve[: count + 1] for v in p["left_out"]]
-    shorter = replan(folder, failed=left_out, options=OPTIONS)
+    left_out = [v for p in curve[: count + 1] for v in p.left_out]
+    shorter = replan(load_plan(folder), failed=left_out, options=OPTIONS)
     assert shorter.trajectory is not None
-    assert shorter.trajectory.duration == pytest.approx(curve[count]["seconds"], rel=0.15)
-    assert shorter.completeness()["final"] == pytest.approx(curve[count]["completeness"], abs=0.02)
+    assert shorter.trajectory.duration == pytest.approx(curve[count].seconds, rel=0.15)
+    assert shorter.completeness()["final"] == pytest.approx(curve[count].completeness, abs=0.02)
 
 
 def test_the_report_shows_it(planned, tmp_path):
     folder, result = planned
-    late = replan(folder, done=result.segments[0].served[0].id, budget_s=20.0, options=OPTIONS)
+    late = replan(load_plan(folder), done=result.segments[0].served[0].id, budget_s=20.0, options=OPTIONS)
     late.save(tmp_path / "late")
-    page = report_html(late)
-    budget = late.summary["budget"]
-    assert not budget["ok"] and budget["advice"]
+    loaded = load_plan(tmp_path / "late")
+    page, budget = report_html(loaded), loaded.summary.budget
+    assert not budget.ok and budget.advice
     assert "Over the budget" in page and "costliest stops" in page and "completeness against seconds" in page
-    from scanmotion.plan_io.load import load_plan
-
-    assert load_plan(tmp_path / "late").summary["budget"] == budget
+    assert summarised(late).summary.budget == budget

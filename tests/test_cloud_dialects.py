@@ -115,7 +115,7 @@ def test_a_dialect(tmp_path, name):
     ("name", "said"),
     [
         ("nan.xyz", "3 of 3003"), ("zeros.xyz", "40 of 3040"), ("twice.xyz", "stand twice"), ("cut.xyz", "last line"),  # noqa: E501
-        ("speck.xyz", "1 specks (3 points)"), ("numbers.txt", "points' numbers"), ("rgb.xyz", "colours"),
+        ("speck.xyz", "1 speck"), ("numbers.txt", "points' numbers"), ("rgb.xyz", "colours"),
         ("label.txt", "words"), ("german.csv", "decimal commas"), ("scan.ptx", "5 pixels"), ("normals.xyz", "unit vectors"),  # noqa: E501
         ("intensity.xyz", "left aside"), ("empty_fields.csv", "2 of 3002"),
     ],

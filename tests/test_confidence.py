@@ -80,7 +80,7 @@ def test_the_accuracy_of_a_known_shift_is_that_of_a_simulation(lump, predicted):
 
 
 def test_a_plan_says_how_sure_it_is(pitted_plan):
-    found = pitted_plan.summary["confidence"]
+    found = pitted_plan.summary.document()["confidence"]
     c, a = found["completeness"], found["mean_abs_mm"]
     assert found["draws"] >= 20
     assert c["value"] == pytest.approx(pitted_plan.completeness()["final"], abs=1e-6)

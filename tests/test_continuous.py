@@ -16,7 +16,7 @@ from scanmotion.judge import verify
 from scanmotion.motion.continuous.options import ContinuousOptions
 from scanmotion.motion.continuous.table_travel import MOST_PIECES, angle_at, pieces_of
 from scanmotion.motion.timing.path import turns_in
-from scanmotion.plan_io.schema import read_json
+from scanmotion.plan_io.read import read_json
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.planning.replan import replan
 from scanmotion.sensing.sight import cell_of, masks_of, octahedral, sight_from, unpacked
@@ -148,13 +148,13 @@ def test_krl_refuses_what_it_cannot_hold(to, saved, tmp_path):
 
 def test_csv_carries_the_motion_as_it_is(saved, moving, tmp_path):
     (file,) = export_plan(saved, "csv", out=tmp_path)
-    assert len(file.read_text().splitlines()) == len(moving.trajectory.t) + 1
+    assert len(file.read_text().splitlines()) == len(moving.cycle.t) + 1
 
 
 @pytest.mark.parametrize("done", ["", "P1"])
-def test_a_motion_is_not_taken_up_in_its_middle(done, saved):
+def test_a_motion_is_not_taken_up_in_its_middle(done, moving):
     with pytest.raises(InputError, match="cannot be taken up in its middle"):
-        replan(saved, done=done)
+        replan(moving, done=done)
 
 
 @pytest.mark.parametrize(

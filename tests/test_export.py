@@ -32,7 +32,7 @@ from scanmotion.export.pose import abc_from_rotation, arm_from_urdf
 from scanmotion.export.source import source_from, write_files
 from scanmotion.export.viewpoints import quaternion, read_viewpoints, rotation, write_viewpoints
 from scanmotion.geometry.parts import box_part
-from scanmotion.planning.plan import plan_files
+from scanmotion.plan_io.write import plan_files
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def test_the_command_line_says_what_it_wrote(to, folder, tmp_path):
 @pytest.mark.parametrize(
     "args, word",
     [
-        (["--to", "step"], "csv, json, viewpoints, krl, krl-timed, ros, mcap"),
+        (["--to", "step"], "csv, json, viewpoints, krl, krl-timed, rapid, ros, mcap"),
         (["--to", "csv", "--name", "../evil"], "--name"),
         (["--to", "json", "--name", "plan"], "plan.json"),
         (["--to", "json", "--name", "TRAJECTORY"], "TRAJECTORY.json"),

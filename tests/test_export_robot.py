@@ -15,7 +15,7 @@ from scanmotion.core.errors import InputError
 from scanmotion.export import export_plan
 from scanmotion.export.source import source_from, write_files
 from scanmotion.geometry.parts import box_part
-from scanmotion.planning.plan import plan_files
+from scanmotion.plan_io.write import plan_files
 
 
 @pytest.fixture(scope="module")

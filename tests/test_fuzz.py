@@ -215,7 +215,7 @@ def whole_plan(kr240_cell):
     fake, files = fake_plan(kr240_cell), dict(hand_made_files())
     rounds = [{"step": "global", "viewpoints": 1, "completeness": 0.9}]
     patch = {"center_mm": [1.0, 2.0, 3.0], "area_mm2": 4.0, "reason": "cannot be seen"}
-    files["summary.json"] = json.dumps(fake.summary | {"rounds": rounds, "unscanned": [patch]})
+    files["summary.json"] = json.dumps(fake.summary.document() | {"rounds": rounds, "unscanned": [patch]})
     loop = [[0.1, 0.0, 0.1], [0.1, 0.05, 0.1], [0.1, 0.05, 0.2]]
     hole = {
         "kind": "common",

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from helix_plan import ARMS, helix_files, helix_plan, helix_tour, turning_cell, turns
 from judged_plan import Written
+from judging import summarised
 from test_plan import TINY, pitted
 
 from scanmotion.cell.build import build_cell
@@ -26,10 +27,9 @@ from scanmotion.motion.order.helix_choice import joined_stops
 from scanmotion.motion.order.lower_bound import least_scanning_seconds
 from scanmotion.motion.timing.helix import helix_motion, ramp_angle, turns_of, way_law
 from scanmotion.motion.transit_cost import jerk_limited_seconds, move_model, stop_seconds
-from scanmotion.plan_io.schema import csv_text
+from scanmotion.plan_io.write import csv_text, plan_files
 from scanmotion.planning import helices as joining
 from scanmotion.planning.pipeline import PlanOptions, plan
-from scanmotion.planning.plan import plan_files
 
 TURN = 2 * np.pi
 OVERLAPS = (1.0, 0.5, 0.0)
@@ -422,7 +422,7 @@ def allowed():
 
 
 def test_without_the_option_nothing_is_said_of_it(pitted_plan):
-    assert "helix" not in pitted_plan.summary
+    assert "helix" not in pitted_plan.summary.document()
     assert all(o.kind != "helix" for o in pitted_plan.trajectory.operations)
 
 
@@ -443,7 +443,8 @@ def test_taken_it_is_faster_and_judged(allowed, pitted_plan):
     assert allowed.joining.still_seconds == pytest.approx(still.trajectory.duration, abs=1e-3)
     assert allowed.segments[0].seen.sum() >= 0.999 * still.seen.sum()
     assert any(o.kind == "helix" for o in allowed.trajectory.operations)
-    assert list(allowed.findings) == []
-    assert allowed.summary["time_s"]["floor"] <= allowed.trajectory.duration
+    judged = summarised(allowed)
+    assert judged.summary.findings == [] and judged.summary.helix.taken
+    assert judged.summary.time_s.floor <= allowed.trajectory.duration
     served = {v for o in allowed.trajectory.operations if o.scanning for v in o.viewpoints}
     assert served == {v.id for v in still.served}

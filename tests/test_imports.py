@@ -1,6 +1,7 @@
 """The import graph points one way, heavy libraries stay out of the light modules, and rooms stay small."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -18,14 +19,15 @@ LAYERS = (
     {"planning"},
     {"plan_io"},
     {"judge", "export", "report"},
-    {"studies", "job"},
+    {"studies", "job", "controller"},
     {"cli", "viewpoints"},
     {"__main__"},
 )
 """From the ground up: a room imports itself and lower layers, never its neighbours or what is above."""
 RANK = {room: rank for rank, layer in enumerate(LAYERS) for room in layer}
-STILL_UPWARD = {("planning", "plan_io"), ("planning", "judge")}
-PYDRAKE = {"cell", "motion/transit", "motion/timing", "report/scene.py"}
+CONVENIENCE = {("planning.plan", "plan_io"), ("planning.plan", "plan_io.save"), ("planning.plan", "judge")}
+"""`Plan.save`, for users: the one place where a lower room calls a higher one, inside of that function."""
+PYDRAKE = {"cell", "motion/transit", "motion/timing", "report/scene.py", "controller/plant.py"}
 STAGES = {"reach": "find", "order": "sequence", "transit": "plan", "timing": "operations"}
 
 
@@ -48,7 +50,7 @@ def imported(path: Path) -> set[str]:
 MODULES = {module_name(p): p for p in FILES}
 INNER = {
     name: {n.removeprefix("scanmotion.") for n in imported(path) if n.startswith("scanmotion.")}
-    & set(MODULES)
+    & set(MODULES) - {upper for lower, upper in CONVENIENCE if lower == name}
     for name, path in MODULES.items()
 }
 
@@ -59,8 +61,41 @@ def test_imports_point_downward(name):
     assert room in RANK, f"{name} is in no layer"
     for other in INNER[name] - {""}:
         below = other.split(".")[0]
-        allowed = below == room or RANK[below] < RANK[room] or (room, below) in STILL_UPWARD
+        allowed = below == room or RANK[below] < RANK[room]
         assert allowed, f"{name} may not import {other}"
+
+
+def test_the_convenience_is_inside_save():
+    tree = ast.parse(MODULES["planning.plan"].read_text())
+    (save,) = (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == "save")
+    inside = {id(node) for node in ast.walk(save)}
+    upward = {"scanmotion." + upper for _, upper in CONVENIENCE}
+    found = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module in upward]
+    assert len(found) == 2 and all(id(node) in inside for node in found)
+
+
+def test_the_judge_knows_nothing_of_the_planner():
+    """Core, readers of geometry files, the cell's settings, and the schema and reader of a plan's folder."""
+    todo, seen = {"judge"} | {n for n in MODULES if n.startswith("judge.")}, set()
+    while todo:
+        name = todo.pop()
+        seen.add(name)
+        todo |= INNER[name] - seen - {""}
+    settings = {n for n in seen if n.startswith("cell.") and n.endswith(("settings", "presets"))}
+    rooms = {name for name in seen if not name.startswith(("judge", "core", "geometry"))} - settings
+    assert rooms <= {"plan_io", "plan_io.schema", "plan_io.read", "plan_io.files"}, rooms
+
+
+def test_no_plan_is_of_any_type():
+    """Between planning, plan_io, report, export and cli a plan, its cell and its summary have their types."""
+    anything = re.compile(r"\b(plan|made|summary|trajectory|cell|options|report): (Any|object)\b")
+    for room in ("planning", "plan_io", "report", "export"):
+        for path in (ROOT / room).rglob("*.py"):
+            text = path.read_text()
+            assert not anything.search(text), path
+            if room == "plan_io":
+                assert not re.search(r"\bAny\b", text), path
+                assert "SimpleNamespace" not in text, path
 
 
 def test_stages_do_not_import_stages():

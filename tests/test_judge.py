@@ -20,7 +20,7 @@ from scanmotion.core.errors import PlanFileError
 from scanmotion.judge import verify
 from scanmotion.judge.limits import check_limits
 from scanmotion.judge.motion import arm_from_urdf, exponentials, motion_at
-from scanmotion.plan_io.schema import read_plan, read_trajectory
+from scanmotion.plan_io.read import read_plan, read_trajectory
 
 ROOT = Path(__file__).resolve().parents[1] / "scanmotion"
 TRANSIT, REVOLUTION, TO_SWEEP, SWEEP, TO_DWELL, DWELL = range(6)

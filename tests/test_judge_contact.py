@@ -15,7 +15,7 @@ from scanmotion.judge import contact
 from scanmotion.judge.contact import STEP_M, Block, blocks, exact_distance, separation
 from scanmotion.judge.motion import arm_from_urdf, motion_at
 from scanmotion.judge.solids import PART, STILL, Solid, pairs_of, solids_of
-from scanmotion.plan_io.schema import read_plan, read_trajectory
+from scanmotion.plan_io.read import read_plan, read_trajectory
 
 
 def random_poses(rng, n, reach):

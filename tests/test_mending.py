@@ -149,8 +149,16 @@ def test_specks_are_left_out_and_details_stay():
     button = box((2.0, 2.0, 2.0), LUMP.vertices[:, :].max(axis=0) * [1, 0, 0] + [1.0, 0, 50])
     large = box((30.0, 30.0, 30.0), (0, 150, 20))
     made = mended(*together(main, speck, button, large))
-    assert made.specks == 1 and made.bodies == 3 and "1 specks" in " ".join(made.changes)
+    assert made.specks == 1 and made.bodies == 3 and "1 speck" in " ".join(made.changes)
     assert made.vertices[:, 2].min() == LUMP.vertices[:, 2].min()
+
+
+def test_an_island_that_floats_is_left_out_and_one_that_stands_is_kept():
+    main, up = (LUMP.vertices, LUMP.triangles), np.array([0.0, 0, 1])
+    floats, stands = box((12.0, 12.0, 12.0), (0, 0, -60)), box((12.0, 12.0, 12.0), (0, 150, 6))
+    made = mended(*together(main, floats, stands), up=up)
+    assert made.specks == 1 and made.bodies == 2
+    assert made.vertices[:, 2].min() == pytest.approx(0.0, abs=1e-9) and made.vertices[:, 1].max() > 150
 
 
 def test_a_speck_over_a_large_face_is_measured_to_the_face():

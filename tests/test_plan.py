@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from judging import findings_of, summarised
 
 import scanmotion as sm
 from scanmotion.cell.settings import load_cell
@@ -11,9 +12,12 @@ from scanmotion.core.errors import InputError, PartError
 from scanmotion.core.part import Part
 from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.judge import verify
-from scanmotion.plan_io.schema import CSV_HEADER, read_json, read_plan, read_trajectory
+from scanmotion.motion.reach.find import ANALYTIC, RESCUE
+from scanmotion.motion.refine import REFINED
+from scanmotion.plan_io.read import read_json, read_plan, read_trajectory
+from scanmotion.plan_io.schema import CSV_HEADER
+from scanmotion.plan_io.write import plan_files
 from scanmotion.planning.pipeline import PlanOptions, plan
-from scanmotion.planning.plan import plan_files
 
 TINY = {"rounds": 1, "samples": 4000, "stride": 4, "voxel": 0.004}
 
@@ -101,7 +105,7 @@ def test_the_trajectory_is_continuous_and_starts_at_home(planned):
 
 def test_the_judge_finds_nothing(saved, planned):
     folder, findings = saved
-    assert findings == list(planned.findings) == verify(folder) == []
+    assert findings == findings_of(planned) == verify(folder) == []
 
 
 def test_findings_are_those_that_the_judge_finds_in_the_folder(settings, planned, saved, tmp_path):
@@ -109,7 +113,7 @@ def test_findings_are_those_that_the_judge_finds_in_the_folder(settings, planned
     late = plan(box_part(0.2, 0.15, 0.3), tight, options=PlanOptions(source="box", **TINY))
     found = late.save(tmp_path / "late")
     assert [f.code for f in found] == ["budget"]
-    assert found == list(late.findings) == verify(tmp_path / "late")
+    assert found == findings_of(late) == verify(tmp_path / "late")
     summary = read_json(tmp_path / "late", "summary.json")
     assert summary["findings"] == [str(f) for f in found]
     assert summary["budget"]["limit_s"] == 5.0 and not summary["budget"]["ok"]
@@ -121,16 +125,24 @@ def test_the_summary_has_the_contracts_keys(saved, planned):
     assert set(summary) >= {
         "viewpoints", "completeness", "accuracy", "time_s", "budget", "findings", "planning_s",
     }  # fmt: skip
-    assert set(summary["viewpoints"]) == {"global", "local", "unreachable"}
+    assert set(summary["viewpoints"]) == {"global", "local", "unreachable", "solvers"}
+    assert set(summary["viewpoints"]["solvers"]) == {v.id for s in planned.segments for v in s.served}
+    assert set(summary["viewpoints"]["solvers"].values()) <= {ANALYTIC, RESCUE, REFINED}
+    assert summary["drake"]["findings"] == 0 < summary["drake"]["checked"]
     assert all(set(u) == {"id", "reason"} for u in summary["viewpoints"]["unreachable"])
     assert set(summary["completeness"]) == {"after_global", "final", "final_of_whole"}
     assert set(summary["accuracy"]) == {"mean_abs_mm", "sd_signed_mm", "mean_signed_mm"}
-    assert set(summary["time_s"]) == {"total", "arm", "table", "sweep", "dwell", "floor"}
+    assert set(summary["time_s"]) == {"total", "arm", "table", "sweep", "dwell", "floor", "cycle"}
     assert set(summary["budget"]) == {"limit_s", "ok", "costliest", "by_order", "curve", "advice"}
     assert summary["findings"] == []
     assert summary["planning_s"]["total"] >= max(v for k, v in summary["planning_s"].items() if k != "total")
-    assert summary == json.loads(json.dumps(planned.summary))
-    assert {type(v) for v in leaves(planned.summary)} <= {str, int, float, bool, type(None)}
+    assert timeless(summary) == timeless(json.loads(json.dumps(planned.summary.document())))
+    assert {type(v) for v in leaves(planned.summary.document())} <= {str, int, float, bool, type(None)}
+
+
+def timeless(summary):
+    """A summary without the seconds that planning took."""
+    return {k: v for k, v in summary.items() if k != "planning_s"}
 
 
 def leaves(value):
@@ -145,7 +157,9 @@ def test_the_summary_counts_what_the_plan_holds(saved, planned):
     summary, record = read_json(saved[0], "summary.json"), read_plan(saved[0])
     trajectory = read_trajectory(saved[0], record)
     time = summary["time_s"]
-    assert time["total"] == pytest.approx(trajectory.duration, abs=1e-3)
+    # What is written is the cycle: the scan, and the way home behind it.
+    assert time["cycle"] == pytest.approx(trajectory.duration, abs=1e-3)
+    assert time["total"] == pytest.approx(max(o.t_end for o in record.operations if o.viewpoints), abs=1e-3)
     assert time["arm"] + time["table"] + time["sweep"] + time["dwell"] == pytest.approx(
         time["total"], abs=0.01
     )
@@ -176,8 +190,7 @@ def test_the_same_seed_gives_the_same_bytes(settings, planned):
     first, second = plan_files(planned), plan_files(again)
     assert first["trajectory.csv"] == second["trajectory.csv"]
     assert {k for k in first if first[k] != second[k]} == set()
-    timeless = {k: v for k, v in planned.summary.items() if k != "planning_s"}
-    assert timeless == {k: v for k, v in again.summary.items() if k != "planning_s"}
+    assert timeless(planned.summary.document()) == timeless(summarised(again).summary.document())
 
 
 @pytest.mark.slow
@@ -244,3 +257,15 @@ def test_the_public_names_plan_and_judge(settings, tmp_path):
     public = sm.plan(box_part(0.2, 0.15, 0.3), settings, options=PlanOptions(source="box", **TINY))
     public.save(tmp_path / "public")
     assert sm.verify(tmp_path / "public") == []
+
+
+def test_a_plan_ends_at_home_and_the_scans_seconds_do_not_count_the_way(pitted_plan):
+    cycle = pitted_plan.cycle
+    last = cycle.operations[-1]
+    assert last.kind == "transit" and last.viewpoints == ()
+    np.testing.assert_allclose(last.q_end, pitted_plan.cell.home, atol=1e-6)
+    np.testing.assert_array_equal(cycle.q[0], pitted_plan.cell.home)
+    time_s = pitted_plan.time_s()
+    assert time_s["total"] == cycle.operations[-2].t_end == pitted_plan.trajectory.duration
+    assert time_s["cycle"] == pytest.approx(cycle.duration) and time_s["cycle"] > time_s["total"]
+    assert time_s["floor"] <= time_s["total"]

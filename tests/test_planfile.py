@@ -19,19 +19,12 @@ from judged_plan import Written, hand_made_files, hand_made_plan
 
 from scanmotion.core.errors import PlanFileError, ScanMotionError
 from scanmotion.judge import verify
-from scanmotion.plan_io import schema as planfile
-from scanmotion.plan_io.schema import (
-    CSV_HEADER,
-    PlanRecord,
-    atomic_folder,
-    csv_text,
-    json_text,
-    read_json,
-    read_plan,
-    read_text,
-    read_trajectory,
-)
-from scanmotion.planning.plan import plan_files
+from scanmotion.plan_io import files as plan_folder
+from scanmotion.plan_io import read as plan_reader
+from scanmotion.plan_io.files import atomic_folder
+from scanmotion.plan_io.read import read_json, read_plan, read_text, read_trajectory
+from scanmotion.plan_io.schema import CSV_HEADER, PlanRecord
+from scanmotion.plan_io.write import csv_text, json_text, plan_files, plan_record
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +72,7 @@ def changed(data, path, value):
 
 
 def test_the_record_comes_back_as_it_was(plan, folder):
-    assert read_plan(folder) == plan.record()
+    assert read_plan(folder) == plan_record(plan)
     assert json_text(read_plan(folder)) == (folder / "plan.json").read_text()
 
 
@@ -323,7 +316,7 @@ def test_lines_that_end_in_another_way_are_read(folder):
 
 
 def test_too_many_samples_are_refused(folder, monkeypatch):
-    monkeypatch.setattr(planfile, "MAX_SAMPLES", 100)
+    monkeypatch.setattr(plan_reader, "MAX_SAMPLES", 100)
     with pytest.raises(PlanFileError, match="more than 100 samples"):
         read_trajectory(folder, read_plan(folder))
 
@@ -400,7 +393,7 @@ NEW = {"plan.json": "{}", "other.txt": "new"}
 @pytest.mark.parametrize("exchange", [True, False])
 def test_a_new_plan_takes_the_old_ones_place(folder, monkeypatch, exchange):
     if not exchange:
-        monkeypatch.setattr(planfile, "_exchanged", lambda a, b: False)
+        monkeypatch.setattr(plan_folder, "_exchanged", lambda a, b: False)
     atomic_folder(folder, NEW)
     assert listing(folder) == {"plan.json": b"{}", "other.txt": b"new"}
     assert left_behind(folder) == []
@@ -433,7 +426,7 @@ def test_a_rename_that_fails_puts_the_old_plan_back(folder, monkeypatch):
             raise OSError(errno.EACCES, "Permission denied")
         return replace(a, b)
 
-    monkeypatch.setattr(planfile, "_exchanged", lambda a, b: False)
+    monkeypatch.setattr(plan_folder, "_exchanged", lambda a, b: False)
     monkeypatch.setattr(os, "replace", failing)
     with pytest.raises(PlanFileError, match="Permission denied"):
         atomic_folder(folder, NEW)
@@ -451,7 +444,7 @@ def test_a_killed_run_leaves_one_of_the_two_plans(tmp_path):
     # A process rewrites the folder without end and is killed at odd moments.
     target = tmp_path / "plan"
     code = (
-        "import sys\nfrom scanmotion.plan_io.schema import atomic_folder\nn = 0\n"
+        "import sys\nfrom scanmotion.plan_io.files import atomic_folder\nn = 0\n"
         "while True:\n    n += 1\n"
         "    atomic_folder(sys.argv[1], {'plan.json': str(n), 'a': str(n) * 20000, 'b': str(n)})\n"
         "    print(n, flush=True)\n"

@@ -24,7 +24,7 @@ from scanmotion.geometry.parts import box_part
 from scanmotion.judge.programme.check import verify_programme
 from scanmotion.judge.programme.controller import controller_from
 from scanmotion.judge.programme.world import ScriptedScanner
-from scanmotion.planning.plan import plan_files
+from scanmotion.plan_io.write import plan_files
 
 MANNERS = ("krl", "krl-timed")
 

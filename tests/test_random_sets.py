@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from judging import findings_of
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.collision.clearance import Clearance
@@ -75,7 +76,7 @@ def check(cell, clearance, seed):
         segments=(segment,),
         trajectory=segment.trajectory, cloud=None, holes=None, samples=None, visible=None,
     )  # fmt: skip
-    found = [f for f in made.findings if f.code != "budget"]
+    found = [f for f in findings_of(made) if f.code != "budget"]
     assert not found, (seed, found)
     return len(served), len(views)
 

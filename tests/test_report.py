@@ -1,6 +1,7 @@
 """The report and the figures in it: what they show is what the plan holds."""
 
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -9,7 +10,9 @@ from browser import screenshot
 from fake_plan import fake_hole, fake_plan
 
 import scanmotion.report.page as mut
+from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
+from scanmotion.core.summary import Summary
 from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.report.figures import palette
 from scanmotion.report.figures.charts import tcp_speed
@@ -24,6 +27,7 @@ from scanmotion.report.figures.surface import (
     view_of,
 )
 from scanmotion.report.page import report_html
+from scanmotion.views.unscanned import Patch
 
 
 @pytest.fixture(scope="module")
@@ -95,26 +99,21 @@ def test_report_says_what_the_plan_holds(page, plan):
 
 
 def test_report_warns_of_findings_and_lateness(plan, text_of):
-    late = dict(plan.summary, budget={"limit_s": 10.0, "ok": False}, findings=["A3 <too> fast"])
-    text = text_of(replace_summary(plan, late))
+    text = text_of(with_summary(plan, budget={"limit_s": 10.0, "ok": False}, findings=["A3 <too> fast"]))
     assert "Do not run" in text and "over its budget" in text and "A3 <too> fast" in text
 
 
-def test_report_tells_each_round_and_what_stays_unscanned(plan, text_of):
-    import copy
-    from types import SimpleNamespace
-
+def test_report_tells_each_round_and_what_stays_unscanned(plan):
     rounds = [
         {"step": "global", "viewpoints": 4, "completeness": 0.88},
         {"step": "local", "viewpoints": 7, "completeness": 0.9125},
     ]
-    told = copy.copy(replace_summary(plan, dict(plan.summary, rounds=rounds)))
-    told.unscanned = [
-        SimpleNamespace(center=np.array([0.01, -0.02, 0.03]), area=2e-6, reason="cannot be seen"),
-        SimpleNamespace(center=np.array([0.1, 0.2, 0.3]), area=5e-6, reason="not worth its seconds"),
-        SimpleNamespace(center=np.array([0.0, 0.0, 0.0]), area=4e-6, reason="cannot be seen"),
-    ]
-    page = report_html(told)
+    patches = (
+        Patch(center=np.array([0.01, -0.02, 0.03]), area=2e-6, reason="cannot be seen"),
+        Patch(center=np.array([0.1, 0.2, 0.3]), area=5e-6, reason="not worth its seconds"),
+        Patch(center=np.array([0.0, 0.0, 0.0]), area=4e-6, reason="cannot be seen"),
+    )
+    page = report_html(replace(with_summary(plan, rounds=rounds), unscanned=patches))
     rows = [re.findall(r"<td[^>]*>([^<]*)", row) for row in re.findall(r"<tr>(.*?)</tr>", page)]
     assert ["1", "global", "4", "88.00%", ""] in rows
     assert ["2", "local", "7", "91.25%", "+3.25%"] in rows
@@ -123,12 +122,13 @@ def test_report_tells_each_round_and_what_stays_unscanned(plan, text_of):
     assert ["3", "10  -20  30", "2", "cannot be seen"] in rows
 
 
-def replace_summary(plan, summary):
-    import copy
+def test_a_plan_that_was_not_judged_has_no_report(plan):
+    with pytest.raises(InputError, match="not been judged"):
+        report_html(replace(plan, summary=None))
 
-    changed = copy.copy(plan)
-    changed.summary = summary
-    return changed
+
+def with_summary(plan, **told):
+    return replace(plan, summary=Summary.model_validate(plan.summary.document() | told))
 
 
 def test_report_is_deterministic(plan, page):
@@ -136,11 +136,7 @@ def test_report_is_deterministic(plan, page):
 
 
 def test_report_without_motion_or_truth(plan, text_of):
-    import copy
-
-    bare = copy.copy(plan)
-    bare.trajectory, bare.samples, bare.visible, bare.holes = None, None, None, None
-    text = text_of(bare)
+    text = text_of(replace(plan, trajectory=None, samples=None, visible=None, holes=None))
     assert "No viewpoint could be served" in text and "nothing can be predicted" in text
 
 

@@ -163,3 +163,52 @@ def test_flange_poses_are_drakes(tmp_path, rng):
         plant.SetPositions(context, q)
         X = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName("tool0")).GetAsMatrix4()
         assert np.abs(X - flange_poses(cell, q[None])[0]).max() < 1e-12
+
+
+def test_a_flange_with_x_outward_is_asked_about_and_taken_when_said(tmp_path, kr240_cell):
+    """REP-199: `flange` has x outward, `tool0` z."""
+    flange = (
+        '<link name="flange"/><joint name="jf" type="fixed"><parent link="tool0"/><child link="flange"/>'
+        "{}</joint></robot>"
+    )
+    text = PLAIN.replace("</robot>", flange.format('<origin rpy="0 -1.5707963267948966 0"/>'))
+    with pytest.raises(
+        CellError, match=r"x outward .REP-199., not z: name tool0, or write robot.flange_axis: x"
+    ):
+        cell_of(text, tmp_path, flange="flange")
+    cell = cell_of(text, tmp_path, flange="flange", flange_axis="x")
+    q = kr240_cell.home[None]
+    from scanmotion.cell.kinematics import scanner_poses
+
+    np.testing.assert_allclose(scanner_poses(cell, q), scanner_poses(kr240_cell, q), atol=1e-12)
+    np.testing.assert_array_equal(Clearance(cell).free(q), Clearance(kr240_cell).free(q))
+    inward = PLAIN.replace("</robot>", flange.format('<origin rpy="3.141592653589793 0 0"/>'))
+    with pytest.raises(CellError, match="z inward"):
+        cell_of(inward, tmp_path, flange="flange")
+
+
+def test_the_default_rest_is_a_free_one(shared_cases):
+    cell = build_cell(load_cell(shared_cases / "robots" / "t12_base_high.yaml"))
+    assert Clearance(cell).free(cell.home[None])[0]
+    walls = [
+        {"name": f"wall {n}", "centre_m": [2.2 + x, y, 1.6], "size_m": [0.6, 0.6, 1.6]}
+        for n, (x, y) in enumerate([(-1.2, 0.0), (-1.1, 0.6), (-1.1, -0.6), (0, 1.2), (0, -1.2)])
+    ]
+    with pytest.raises(CellError, match=r"no free rest before the table was found \(.* are in the way\)"):
+        build_cell(settings_from({"obstacles": walls}))
+
+
+def test_robots_add_writes_a_cell_that_can_be_used(tmp_path):
+    from typer.testing import CliRunner
+
+    from scanmotion.cli import app
+
+    text = PLAIN.replace('velocity="1.797689130"', 'velocity="0"')
+    (tmp_path / "my.urdf").write_text(text)
+    done = CliRunner().invoke(app, ["robots", "add", str(tmp_path / "my.urdf")])
+    assert "chain: A1, A2, A3, A4, A5, A6 to tool0" in done.output and "closed form found" in done.output
+    assert "ready" in done.output
+    cell = build_cell(load_cell(tmp_path / "my.yaml"))
+    assert cell.settings.robot.flange == "tool0"
+    again = CliRunner().invoke(app, ["robots", "add", str(tmp_path / "my.urdf")])
+    assert "is there already" in (again.output + str(again.exception))

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from judging import findings_of
 
 import scanmotion.planning.evidence as module
 from scanmotion.cell.settings import load_cell
@@ -141,4 +142,4 @@ def test_a_strip_whose_slope_is_guessed_wrong_is_seen_in_the_end():
     made = plan(lying_ring(), load_cell("kr240"), options=PlanOptions())
     done = made.completeness()
     assert done["after_global"] < 0.98 and done["final"] > 0.998
-    assert not made.findings
+    assert not findings_of(made)

@@ -1,12 +1,10 @@
 """The scene: its shapes, its motion, its page in a real browser, and where it listens."""
 
-import copy
 import os
 import socket
 import struct
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -100,7 +98,7 @@ def test_surface_appears_when_a_frame_first_sees_it(plan):
     np.testing.assert_array_equal(first >= 0, plan.seen)
     # Nothing that only the local round has seen appears in the global step.
     only_local = plan.seen & ~plan.segments[0].seen
-    t, X_OS = sight._poses(plan)
+    t, X_OS = sight._poses(plan.cell, plan.trajectory)
     part, table = plan.part, plan.cell.settings.turntable
     scene = scene_from(part.vertices, part.triangles, table_radius=table.diameter_m / 2, table_z=0.0)
     points, normals = plan.samples.points, plan.samples.normals
@@ -144,11 +142,10 @@ def test_unchanged_frames_can_be_left_out(values):
 
 
 def test_names_cannot_break_out_of_the_page(plan):
-    bad = copy.copy(plan)
     name = "</script><script>alert(1)</script>"
-    bad.part = SimpleNamespace(name=name)
     first, *rest = plan.trajectory.operations
-    bad.trajectory = replace(plan.trajectory, operations=(replace(first, viewpoints=(name,)), *rest))
+    told = replace(plan.trajectory, operations=(replace(first, viewpoints=(name,)), *rest))
+    bad = replace(plan, trajectory=told, part=replace(plan.part, name=name))
     overlay = mut._with_overlay("<body></body>", bad)
     assert "<script>alert" not in overlay
     assert overlay.count("<script>") == overlay.count("</script>") == 1

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from judging import summarised
 from test_legs import views  # noqa: F401
 from test_plan import TINY, pitted
 
@@ -124,13 +125,13 @@ def test_useless_viewpoints_go_and_what_is_seen_stays(padded):
     # The global segment stays as it is.
     n = len(before.trajectory.t)
     assert pruned.trajectory.q[:n].tobytes() == after.trajectory.q[:n].tobytes()
-    made = plan_from(ctx, pruned)
-    assert not made.findings
+    made = summarised(plan_from(ctx, pruned))
     ids = [v.id for v in made.viewpoints]
     assert len(ids) == len(set(ids)) and {"U0", "U1"} <= set(ids)
     summary = made.summary
-    assert [r["step"] for r in summary["searched"]] == ["global", "local", "local"]
-    assert len(summary["rounds"]) == 2
+    assert summary.findings == []
+    assert [r.step for r in summary.searched] == ["global", "local", "local"]
+    assert len(summary.rounds) == 2
     # What was seen once can be seen, also where the pruned programme does not see it.
     assert made.visible[after.seen].all()
     # Nothing is left to prune.

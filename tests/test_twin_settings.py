@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from judging import summarised
 from scans import SCANNER, bumpy, turns
 from test_plan import TINY, pitted
 from typer.testing import CliRunner
@@ -15,12 +16,14 @@ from scanmotion.cell.settings import load_cell, settings_from
 from scanmotion.cli import app
 from scanmotion.cli.planning import twin_rows
 from scanmotion.core.errors import CellError, InputError
+from scanmotion.core.summary import Summary
 from scanmotion.core.viewpoint import look_at
 from scanmotion.geometry.part_files import read_geometry
 from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.judge import verify
 from scanmotion.plan_io.load import load_plan
 from scanmotion.plan_io.measured import calibration_record, surface_record
+from scanmotion.plan_io.read import read_summary
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.sensing.assess import signed_distances
 from scanmotion.sensing.calibration import PARAMETERS, Calibration, errors_from
@@ -180,21 +183,23 @@ def test_the_deviation_mesh_lies_on_the_part(lumps):
 
 def test_local_rounds_are_registered_and_said_so(planted):
     made = plan(pitted(), planted, options=PlanOptions(keep_scans=True, **OPTIONS))
-    found = made.summary["registration"]
+    summary = summarised(made).summary.document()
+    found = summary["registration"]
     assert len(found) == len(made.scans) - 1 >= 1
     for item in found:
         assert made.segments[item["round"] - 1].step == "local"
         assert 0 < item["rms_mm"] < 0.5 and 0 < item["fitness"] <= 1
         assert item["statement"].startswith("trusted" if item["trusted"] else "not to be trusted")
-    assert set(made.summary["accuracy"]) == {"mean_abs_mm", "sd_signed_mm", "mean_signed_mm"}
-    assert made.summary["accuracy"]["mean_abs_mm"] < 0.12
-    json.dumps(made.summary, allow_nan=False)
+    assert set(summary["accuracy"]) == {"mean_abs_mm", "sd_signed_mm", "mean_signed_mm"}
+    assert summary["accuracy"]["mean_abs_mm"] < 0.12
+    json.dumps(summary, allow_nan=False)
 
 
 def test_without_constant_errors_nothing_is_estimated_or_kept():
     made = plan(bumpy(30), load_cell("kr240"), options=PlanOptions(**{**OPTIONS, "rounds": 0}))
     assert made.corrections is None and made.scans == ()
-    assert made.summary["calibration"] is None and made.summary["registration"] == []
+    summary = summarised(made).summary
+    assert summary.calibration is None and summary.registration == []
 
 
 def test_options_win_over_the_cells_errors(planted):
@@ -220,13 +225,17 @@ def test_the_command_refuses_what_a_box_cannot_give(option, tmp_path):
 
 
 def test_the_final_table_shows_what_calibration_bought(lumps):
-    mended, left = (dict(twin_rows(summary_of(lumps[1] / name))) for name in ("mended", "left"))
+    mended, left = (dict(twin_rows(read_summary(lumps[1] / name))) for name in ("mended", "left"))
     assert set(mended) == {"of the surface", "calibration"} and set(left) == {"of the surface"}
     found = summary_of(lumps[1] / "mended")["calibration"]["global_cloud"]
     for key in ("before", "after"):
         assert f"{found[key]['mean_abs_mm']:.3f}" in mended["calibration"]
-    told = {"accuracy": {}, "registration": [{"round": 2, "statement": "trusted: yes"}]}
-    assert twin_rows(told) == [("round 2 on the cloud", "trusted: yes")]
+    item = {
+        "round": 2, "rms_mm": 0.1, "fitness": 1.0, "uncertainty_mm": 0.01, "shift_mm": 0.2, "turn_deg": 0.0,
+        "trusted": True, "statement": "trusted: yes",
+    }  # fmt: skip
+    told = summary_of(lumps[1] / "left") | {"registration": [item]}
+    assert ("round 2 on the cloud", "trusted: yes") in twin_rows(Summary.model_validate(told))
 
 
 # Corrections by themselves.
@@ -273,7 +282,7 @@ def test_one_turn_tells_the_errors_not_apart_and_is_left_alone(lump):
     scan = simulate(lump, SCANNER, still_captures(X), rng=np.random.default_rng(0))
     same, known = corrected_scan(scan, None, Corrections(), part=lump, voxel=0.002, index=0)
     assert same is scan
-    record = calibration_record(known)
+    record = calibration_record(known).model_dump()
     assert not record["applied"] and record["statement"].endswith("nothing is corrected")
     assert record["undetermined"] and record["global_cloud"]["before"] == record["global_cloud"]["after"]
 
@@ -301,12 +310,12 @@ def test_the_surface_is_assessed_both_ways():
     grown = replace(grown, vertices=grown.vertices - [0, 0, 1e-4])
     points = surface_samples(box, 5000, rng=np.random.default_rng(0)).points
     found = surface_record((grown.vertices, grown.triangles), box, points)
-    assert found["mean_abs_mm"] == pytest.approx(0.1, abs=1e-3)
-    assert found["mean_signed_mm"] == pytest.approx(0.1, abs=1e-3)
-    assert found["sd_signed_mm"] < 5e-3
-    assert found["from_truth"]["mean_abs_mm"] == pytest.approx(0.1, abs=1e-3)
-    assert found["triangles"] == 12
-    assert surface_record((grown.vertices, grown.triangles), box)["from_truth"] is None
+    assert found.mean_abs_mm == pytest.approx(0.1, abs=1e-3)
+    assert found.mean_signed_mm == pytest.approx(0.1, abs=1e-3)
+    assert found.sd_signed_mm < 5e-3
+    assert found.from_truth["mean_abs_mm"] == pytest.approx(0.1, abs=1e-3)
+    assert found.triangles == 12
+    assert surface_record((grown.vertices, grown.triangles), box).from_truth is None
 
 
 def test_what_calibration_states_can_be_written_into_a_cell():
@@ -315,7 +324,7 @@ def test_what_calibration_states_can_be_written_into_a_cell():
         errors=errors_from(theta), sd=np.abs(theta), known=theta > 0, rms_before=2e-4, rms_after=1e-4,
         statement="",
     )  # fmt: skip
-    record = calibration_record(Corrections(calibration=found))
+    record = calibration_record(Corrections(calibration=found)).model_dump()
     assert record["undetermined"] == [p for p, t in zip(PARAMETERS, theta, strict=True) if t < 0]
     assert record["disagreement_mm"] == {"before": 0.2, "after": 0.1}
     for key, expected in (("estimated", theta), ("sd", np.abs(theta))):

@@ -1,12 +1,14 @@
 """The cell: arm, V-fixture, scanner, turntable, part and obstacles, in numpy and as a Drake plant."""
 
 import functools
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.collision.shapes import fcl_object
 from scanmotion.cell.kinematics import branches
 from scanmotion.cell.model import TABLE as TABLE
@@ -16,11 +18,24 @@ from scanmotion.cell.model import Cell as Cell
 from scanmotion.cell.robot import Body, Robot
 from scanmotion.cell.robot_file import robot_from_file
 from scanmotion.cell.settings import CellSettings, pose
+from scanmotion.cell.suggest import flange_axis
 from scanmotion.core.errors import CellError
 from scanmotion.core.part import Part
 from scanmotion.geometry.parts import models_dir
 
 FLOOR_M = 8.0
+_PLACES = [
+    (np.deg2rad(turn), height, distance)
+    for turn, distances in (
+        (0, (1.0, 0.9, 1.2, 0.8)),
+        (0, (0.6, 1.5, 0.45)),
+        (40, (1.0, 0.7)),
+        (-40, (1.0, 0.7)),
+    )
+    for height in (0.35, 0.5, 0.7, 0.2, 1.0)
+    for distance in distances
+]
+"""Where a rest is sought, in this order: turn about the table's axis, height above it, distance to it [m]."""
 
 
 def robot_path(settings: CellSettings) -> Path:
@@ -75,14 +90,17 @@ def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
     """
     robot = robot_of(settings)
     table = settings.turntable
+    X_FZ = _outward(settings, robot)
     X_WB = pose(settings.base.position_m, np.deg2rad(settings.base.yaw_deg))
+    if settings.base.X_WB is not None:
+        X_WB = np.array(settings.base.X_WB)
     known = settings.calibration
     X_WT = _shifted(pose((*table.position_m, table.height_m)), (*known.axis_mm, 0.0), (*known.axis_deg, 0.0))
     limits = _limits(settings, robot)
     frame: dict[str, Any] = dict(
-        settings=settings, part=part, robot=robot, X_WB=X_WB, X_FS=tool_pose(settings), X_WT=X_WT,
+        settings=settings, part=part, robot=robot, X_WB=X_WB, X_FS=X_FZ @ tool_pose(settings), X_WT=X_WT,
         X_TO=pose((0.0, 0.0, settings.pedestal.height_m)), joint_names=(*robot.joints, "E1"),
-        bodies=(*robot.bodies, *_tool_bodies(settings), *_still_bodies(settings)), **limits,
+        bodies=(*robot.bodies, *_tool_bodies(settings, X_FZ), *_still_bodies(settings)), **limits,
     )  # fmt: skip
     home = _home(Cell(**frame, home=np.zeros(7)))
     for values in (*limits.values(), X_WB, X_WT, frame["X_FS"], frame["X_TO"], home):
@@ -148,6 +166,9 @@ def tool_pose(settings: CellSettings) -> np.ndarray:
     from above.
     """
     tool = settings.tool
+    if tool.X_FS is not None:
+        known = settings.calibration
+        return _shifted(np.array(tool.X_FS), known.hand_eye_mm, known.hand_eye_deg)
     t, r = np.deg2rad(tool.tilt_deg), np.deg2rad(tool.roll_deg)
     X_FS = np.eye(4)
     tilt = np.array([[np.cos(t), 0, np.sin(t)], [0, 1, 0], [-np.sin(t), 0, np.cos(t)]])
@@ -169,6 +190,27 @@ def _shifted(X: np.ndarray, by_mm: tuple[float, ...], turn_deg: tuple[float, ...
     return X @ D
 
 
+def _outward(settings: CellSettings, robot: Robot) -> np.ndarray:
+    """The flange with z outward in the flange of the URDF, shape (4, 4).
+
+    Raises:
+        CellError: the URDF's flange has another axis outward, and the settings do not say so.
+    """
+    X, said, axis = np.eye(4), settings.robot.flange_axis, flange_axis(robot)
+    if said is None and axis != "z":
+        hint = {
+            "x": "x outward (REP-199), not z: name tool0, or write robot.flange_axis: x",
+            "-z": "z inward: name a link with z outward (tool0)",
+        }.get(
+            axis,
+            "neither z nor x along the last joint: name tool0, or write robot.flange_axis: z",
+        )
+        raise CellError(f"link {settings.robot.flange!r} has {hint}", key="robot.flange")
+    if said == "x":
+        X[:3, :3] = [[0, 0, 1.0], [0, 1.0, 0], [-1.0, 0, 0]]
+    return X
+
+
 def _limits(settings: CellSettings, robot: Robot) -> dict[str, np.ndarray]:
     table = settings.turntable
     low, high = (-np.inf, np.inf) if table.endless else np.deg2rad(table.range_deg)
@@ -188,7 +230,7 @@ def _limits(settings: CellSettings, robot: Robot) -> dict[str, np.ndarray]:
     )
 
 
-def _tool_bodies(settings: CellSettings) -> list[Body]:
+def _tool_bodies(settings: CellSettings, X_FZ: np.ndarray) -> list[Body]:
     """V-fixture (a plate and two arms) and scanner housing, in the flange's frame."""
     tool, X_FS = settings.tool, tool_pose(settings)
     size = tool.scanner_size_m
@@ -197,13 +239,19 @@ def _tool_bodies(settings: CellSettings) -> list[Body]:
     X_FG[:3, 3] = X_FS[:3, :3] @ np.array([settings.scanner.baseline_m / 2, 0.0, -size[2] / 2]) + X_FS[:3, 3]
     bodies = [
         Body(name="scanner", link=TOOL, shape="box", size=size, X_LG=X_FG),
-        Body(name="fixture_plate", link=TOOL, shape="cylinder", size=(0.08, 0.02), X_LG=pose((0, 0, 0.01))),
+        Body(
+            name="fixture_plate",
+            link=TOOL,
+            shape="cylinder",
+            size=(tool.plate_m / 2, 0.02),
+            X_LG=pose((0, 0, 0.01)),
+        ),
     ]
     end = X_FG[:3, 3] - X_FG[:3, 2] * size[2] / 2
     for side in (-1.0, 1.0):
         a, b = np.array([0.0, side * 0.06, 0.02]), end + np.array([0.0, side * 0.055, 0.0])
         z = (b - a) / np.linalg.norm(b - a)
-        x = np.cross([0.0, 1.0, 0.0], z)
+        x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
         x /= np.linalg.norm(x)
         X = np.eye(4)
         X[:3, :3], X[:3, 3] = np.column_stack([x, np.cross(z, x), z]), (a + b) / 2
@@ -211,7 +259,7 @@ def _tool_bodies(settings: CellSettings) -> list[Body]:
         bodies.append(
             Body(name=f"fixture_arm_{'a' if side < 0 else 'b'}", link=TOOL, shape="box", size=box, X_LG=X)
         )
-    return bodies
+    return [replace(body, X_LG=X_FZ @ body.X_LG) for body in bodies]
 
 
 def _still_bodies(settings: CellSettings) -> list[Body]:
@@ -243,7 +291,7 @@ def _still_bodies(settings: CellSettings) -> list[Body]:
 
 
 def _home(cell: Cell) -> np.ndarray:
-    """The settings' home, or a rest with the scanner before the table, looking at its axis.
+    """The settings' home, or a free rest with the scanner before the table, looking at its axis.
 
     At 0.1 m/s a metre to the first viewpoint costs ten seconds: the default home stands 1 m off the axis.
     """
@@ -262,17 +310,28 @@ def _home(cell: Cell) -> np.ndarray:
     if np.linalg.norm(toward) < 0.05:
         raise CellError("the turntable stands where the robot stands", key="turntable.position_m")
     toward /= np.linalg.norm(toward)
-    for height in (0.35, 0.5, 0.7, 0.2, 1.0):
-        for distance in (1.0, 0.9, 1.2, 0.8):
-            z = -toward
-            X = np.eye(4)
-            # Long side upright, as the global viewpoints want it.
-            X[:3, :3] = np.column_stack([[0, 0, 1.0], np.cross(z, [0, 0, 1.0]), z])
-            X[:3, 3] = cell.X_WT[:3, 3] + toward * distance + [0, 0, height]
-            flipped = X.copy()
-            flipped[:3, :2] *= -1
-            found = branches(cell, np.stack([X, flipped]), windings=False)
-            if len(found.q):
-                comfort = np.abs(found.q[:, [0, 3, 5]]).sum(axis=1) + (found.manipulability < 0.05) * 10
-                return np.append(found.q[int(np.argmin(comfort))], 0.0)
+    checker = Clearance(replace(cell, part=None))
+    touching: tuple[str, str] | None = None
+    for turn, height, distance in _PLACES:
+        c, d = np.cos(turn), np.sin(turn)
+        side = np.array([[c, -d, 0], [d, c, 0], [0, 0, 1.0]]) @ toward
+        z = -side
+        X = np.eye(4)
+        # Long side upright, as the global viewpoints want it.
+        X[:3, :3] = np.column_stack([[0, 0, 1.0], np.cross(z, [0, 0, 1.0]), z])
+        X[:3, 3] = cell.X_WT[:3, 3] + side * distance + [0, 0, height]
+        flipped = X.copy()
+        flipped[:3, :2] *= -1
+        found = branches(cell, np.stack([X, flipped]), windings=False)
+        comfort = np.abs(found.q[:, [0, 3, 5]]).sum(axis=1) + (found.manipulability < 0.05) * 10
+        for q in np.column_stack([found.q, np.zeros(len(found.q))])[np.argsort(comfort, kind="stable")]:
+            if checker.free(q[None])[0]:
+                return q
+            touching = touching or checker.distance(q)[1]
+    if touching is not None:
+        raise CellError(
+            f"no free rest before the table was found ({touching[0]} and {touching[1]} are in the way); "
+            "set robot.home_deg",
+            key="robot.home_deg",
+        )
     raise CellError("no rest before the table is in reach; set robot.home_deg", key="robot.home_deg")

@@ -6,7 +6,8 @@ import numpy as np
 
 from scanmotion.cell.ik.choice import Solved, solver_of
 from scanmotion.cell.model import Cell
-from scanmotion.cell.robot import arm_poses, inverse_poses
+from scanmotion.cell.robot import arm_poses
+from scanmotion.geometry.se3 import inverse_poses, turns_about_z
 
 
 def link_poses(cell: Cell, q: np.ndarray) -> np.ndarray:
@@ -33,11 +34,7 @@ def scanner_poses(cell: Cell, q: np.ndarray) -> np.ndarray:
 def object_poses(cell: Cell, q: np.ndarray) -> np.ndarray:
     """X_WO for each row of q (n, 7) [rad], shape (n, 4, 4); E1 turns counter-clockwise seen from above."""
     angle = np.atleast_2d(np.asarray(q, dtype=float))[:, 6]
-    X = np.tile(np.eye(4), (len(angle), 1, 1))
-    X[:, 0, 0] = X[:, 1, 1] = np.cos(angle)
-    X[:, 1, 0] = np.sin(angle)
-    X[:, 0, 1] = -X[:, 1, 0]
-    return cell.X_WT @ X @ cell.X_TO
+    return cell.X_WT @ turns_about_z(angle) @ cell.X_TO
 
 
 def scanner_in_object(cell: Cell, q: np.ndarray) -> np.ndarray:

@@ -1,11 +1,15 @@
 """What an arm is: six turning axes, limits, and the solids that move with its links."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+
+from scanmotion.geometry.chain import chain_jacobian, chain_poses
+from scanmotion.geometry.se3 import clean_angle as clean_angle
+from scanmotion.geometry.se3 import inverse_poses as inverse_poses
+from scanmotion.geometry.se3 import rotations as rotations
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -75,53 +79,17 @@ class Solved:
     """How far inside the arm's reach each wrist is, shape (n,) [m]; negative outside."""
 
 
-def rotations(axes: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Rotations by `angles` (n, k) about unit `axes` (k, 3) (Rodrigues), shape (n, k, 3, 3)."""
-    K = np.zeros((len(axes), 3, 3))
-    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -axes[:, 2], axes[:, 1], -axes[:, 0]
-    K = K - K.transpose(0, 2, 1)
-    s, c = np.sin(angles)[..., None, None], np.cos(angles)[..., None, None]
-    return np.eye(3) + s * K + (1 - c) * (K @ K)
-
-
 def arm_poses(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Poses in the base of base and links 1..6, shape (n, 7, 4, 4), for q of shape (n, 6)."""
-    R = rotations(robot.axes, q)
-    out = np.zeros((len(q), 7, 4, 4))
-    out[:, 0] = np.eye(4)
-    joint = np.zeros((len(q), 4, 4))
-    joint[:, 3, 3] = 1.0
-    for i in range(6):
-        joint[:, :3, :3] = R[:, i]
-        out[:, i + 1] = out[:, i] @ (robot.X_PJ[i] @ joint)
-    return out
+    return chain_poses(robot.X_PJ, robot.axes, q)
 
 
 def arm_jacobian(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Angular (rows 0..2) and linear velocity of the flange in the base per joint speed, shape (n, 6, 6)."""
-    frames = arm_poses(robot, q)
-    axes = np.einsum("nkij,kj->nki", frames[:, 1:, :3, :3], robot.axes)
-    tip = (frames[:, 6] @ robot.X_6F)[:, None, :3, 3]
-    J = np.concatenate([axes, np.cross(axes, tip - frames[:, 1:, :3, 3])], axis=2)
-    return np.swapaxes(J, 1, 2)
+    return chain_jacobian(robot.X_PJ, robot.axes, robot.X_6F, q)
 
 
 def least_singular(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Least singular value of the flange's Jacobian (m and rad mixed) at each row of q (m, 6), shape (m,)."""
     J = arm_jacobian(robot, q)
     return np.sqrt(np.maximum(np.linalg.eigvalsh(J @ np.swapaxes(J, 1, 2))[:, 0], 0.0))
-
-
-def inverse_poses(X: np.ndarray) -> np.ndarray:
-    """Inverses of rigid poses, shape (..., 4, 4)."""
-    R = np.swapaxes(X[..., :3, :3], -1, -2)
-    out = np.zeros_like(X)
-    out[..., :3, :3] = R
-    out[..., :3, 3] = -np.einsum("...ij,...j->...i", R, X[..., :3, 3])
-    out[..., 3, 3] = 1.0
-    return out
-
-
-def clean_angle(q: np.ndarray) -> np.ndarray:
-    """Angles brought into (-pi, pi]."""
-    return math.pi - np.mod(math.pi - q, 2 * math.pi)

@@ -92,6 +92,37 @@ def _robot(
     )  # fmt: skip
 
 
+def ends_of_six(path: Path, packages: tuple[Path, ...] = ()) -> list[tuple[str, tuple[str, ...]]]:
+    """Links that six turning joints move, with those joints from the base on, in the plant's order.
+
+    Raises:
+        CellError: there is none, or there are several arms.
+    """
+    urdf = urdf_from(path, packages)
+    plant, _, _ = _plant(urdf, path.name)
+    old = {new: name for name, new in urdf.names.items()}
+    longest: list[str] = []
+    ends = []
+    for link in urdf.links:
+        body = plant.GetBodyByName(link)
+        by_child = {joint.child_body().index(): joint for joint in _joints(plant)}
+        moving = []
+        while body.index() in by_child:
+            joint = by_child[body.index()]
+            moving += [joint] if joint.type_name() != "weld" else []
+            body = joint.parent_body()
+        names = [old.get(j.name(), str(j.name())) for j in reversed(moving)]
+        longest = max(longest, names, key=len)
+        if len(moving) == 6 and all(j.type_name() == "revolute" for j in moving):
+            ends.append((old.get(link, link), tuple(names)))
+    if not ends:
+        text = f"{path.name}: no link is moved by six turning joints; the longest chain moves by {longest}"
+        raise CellError(text, key="robot.joints")
+    if len({joints for _, joints in ends}) > 1:
+        raise CellError(f"{path.name}: more than one arm; write robot.joints and robot.flange by hand")
+    return ends
+
+
 def _plant(urdf: Urdf, name: str) -> tuple[MultibodyPlant, Any, tuple[str, ...]]:
     """The parsed arm alone, not finalized, its inspector, and Drake's warnings in our words."""
     scene, plant = SceneGraph(), MultibodyPlant(time_step=0.0)

@@ -16,6 +16,7 @@ from scanmotion.cell.error_settings import (
     TwinSettings,
     UncertaintySettings,
 )
+from scanmotion.cell.pose_settings import RigidPose, differs
 from scanmotion.cell.programme_settings import ProgrammeSettings
 from scanmotion.cell.scanner_presets import with_scanner_preset
 from scanmotion.core.errors import CellError
@@ -38,6 +39,10 @@ class RobotSettings(Settings):
         ("A1", "A2", "A3", "A4", "A5", "A6"), description="the six joints, base to flange"
     )
     flange: str = Field("tool0", description="link whose frame is the flange (z outward)")
+    flange_axis: Literal["z", "x"] | None = Field(
+        None,
+        description="which axis of the flange points outward; default: z, and x (REP-199) is asked about",
+    )
     packages: tuple[str, ...] = Field(
         (), description="folders in which package:// of a URDF's meshes is sought"
     )
@@ -60,6 +65,15 @@ class BaseSettings(Settings):
 
     position_m: tuple[Number, Number, Number] = Field((0.0, 0.0, 0.0), description="base in the world")
     yaw_deg: Number = Field(0.0, ge=-360.0, le=360.0, description="turn of the base about the vertical")
+    X_WB: RigidPose = Field(
+        None, description="base in the world as calibrated, in place of both: four rows, metres"
+    )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> "BaseSettings":
+        if self.X_WB is not None and (any(self.position_m) or self.yaw_deg):
+            raise ValueError("X_WB stands in place of position_m and yaw_deg; write the one or the others")
+        return self
 
 
 class ToolSettings(Settings):
@@ -72,9 +86,22 @@ class ToolSettings(Settings):
     )
     roll_deg: Number = Field(0.0, ge=-180.0, le=180.0, description="scanner turned about its optical axis")
     mass_kg: Number = Field(5.0, gt=0.0, le=1000.0, description="fixture and scanner together")
+    X_FS: RigidPose = Field(
+        None,
+        description="scanner in the flange (z outward) as calibrated, in place of the four: rows, metres",
+    )
+    plate_m: Number = Field(0.16, gt=0.0, le=1.0, description="diameter of the fixture's plate on the flange")
     scanner_size_m: tuple[Number, Number, Number] = Field(
         (0.262, 0.158, 0.063), description="housing along x, y, z of the scanner"
     )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> "ToolSettings":
+        if self.X_FS is not None and differs(self, "arm_m", "offset_m", "tilt_deg", "roll_deg"):
+            raise ValueError(
+                "X_FS stands in place of arm_m, offset_m, tilt_deg and roll_deg; write the one or the others"
+            )
+        return self
 
 
 class TurntableSettings(Settings):
@@ -288,6 +315,21 @@ def settings_from(data: dict[str, Any], *, folder: str = "") -> CellSettings:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal")))
         raise CellError(_message(first, key, data), key=key) from None
+
+
+def cell_settings_from(source: Any) -> CellSettings:
+    """Settings of a cell, whatever names it: settings, a built-in name, a YAML file, or a mapping as in one.
+
+    Raises:
+        CellError: not one of these, or as load_cell.
+    """
+    if isinstance(source, CellSettings):
+        return source
+    if isinstance(source, str | Path):
+        return load_cell(source)
+    if isinstance(source, dict):
+        return settings_from(source)
+    raise CellError(f"a {type(source).__name__} is no cell; known: settings, a name, a YAML file, a mapping")
 
 
 def _message(first: Any, key: str, data: dict) -> str:

@@ -1,7 +1,7 @@
 """The command line: `scanmotion COMMAND`; nothing heavy is imported before a command runs."""
 
 from scanmotion.cli.app import app, note_interrupts
-from scanmotion.cli.arms import reach, robots
+from scanmotion.cli.arms import reach
 from scanmotion.cli.cells import cell_app
 from scanmotion.cli.comparing import compare
 from scanmotion.cli.fusing import fuse
@@ -11,7 +11,10 @@ from scanmotion.cli.loop.accepting import acceptance
 from scanmotion.cli.loop.assessing import assess
 from scanmotion.cli.loop.calibrating import calibrate
 from scanmotion.cli.loop.jobs import job_app
+from scanmotion.cli.loop.papering import paper
 from scanmotion.cli.planning import plan
+from scanmotion.cli.robots import robots_app
+from scanmotion.cli.running import run
 from scanmotion.cli.studying import layout, study_app
 
 __all__ = ["app", "main"]
@@ -21,6 +24,8 @@ for _command, _panel, _example in (
     (verify, "Plan", "scanmotion verify out"),
     (show, "Plan", "scanmotion show out"),
     (export, "Plan", "scanmotion export out --to krl"),
+    (paper, "Plan", "scanmotion paper --out paper.html"),
+    (run, "Plan", "scanmotion run out --controller sim"),
     (compare, "Plan", "scanmotion compare --variants two-step,cad-slicing --seeds 3 --out table.md"),
     (inspect, "One stage alone", "scanmotion inspect statue.stl --picture statue.png"),
     (holes, "One stage alone", "scanmotion holes scan.ply --out holes.json"),
@@ -30,11 +35,11 @@ for _command, _panel, _example in (
     (assess, "The real loop", "scanmotion assess fused.ply --reference statue.stl --out assessment"),
     (acceptance, "The real loop", "scanmotion acceptance --cell my-cell.yaml"),
     (calibrate, "The real loop", "scanmotion calibrate statue --write-cell calibrated.yaml"),
-    (robots, "Robots and cells", "scanmotion robots"),
     (layout, "Many plans", "scanmotion layout --part statue.ply --out layout.yaml"),
 ):
     app.command(rich_help_panel=_panel, epilog=f"Example: {_example}", no_args_is_help=False)(_command)
 
+app.add_typer(robots_app, name="robots", rich_help_panel="Robots and cells")
 app.add_typer(cell_app, name="cell", rich_help_panel="Robots and cells")
 app.add_typer(job_app, name="job", rich_help_panel="The real loop")
 app.add_typer(study_app, name="study", rich_help_panel="Many plans")

@@ -77,7 +77,7 @@ def reach(
     if json:
         say_json([reach_record(r) for r in found])
     elif not quiet:
-        header = ("viewpoint", "configurations", "clearance mm", "why not", "what would help")
+        header = ("viewpoint", "configurations", "solver", "clearance mm", "why not", "what would help")
         print_table("Reach", header, [reach_row(r) for r in found])
         typer.echo(f"{sum(r.unreachable is None for r in found)} of {len(found)} viewpoints can be reached")
     return OK
@@ -167,6 +167,7 @@ def reach_record(item: Any) -> dict[str, Any]:
     return {
         "id": item.viewpoint.id,
         "configurations": len(item.q),
+        "solver": item.solver,
         "clearance_mm": round(float(item.clearance.max()) * 1e3, 1) if len(item.q) else None,
         "manipulability": round(float(item.manipulability.max()), 3) if len(item.q) else None,
         "unreachable": None
@@ -187,25 +188,4 @@ def reach_row(item: Any) -> tuple[str, ...]:
     clearance = "" if record["clearance_mm"] is None else f"{record['clearance_mm']:.0f}"
     why = "" if lost is None else f"{lost['cause']}: {lost['detail']}"
     remedy = "" if lost is None else lost["remedy"]
-    return (record["id"], str(record["configurations"]), clearance, why, remedy)
-
-
-def robot_record(name: str, settings: Any) -> dict[str, Any]:
-    """A built-in cell and the robot in it."""
-    from scanmotion.cell.build import robot_facts
-
-    facts = robot_facts()[settings.robot.model]
-    return {"name": name} | {key: facts[key] for key in ("title", "reach_m", "payload_kg", "source")}
-
-
-def robots(json: Json = False) -> int:
-    """List the built-in robots and cells."""
-    from scanmotion.cell.settings import builtin_cells, load_cell
-
-    records = [robot_record(name, load_cell(name)) for name in builtin_cells()]
-    if json:
-        say_json(records)
-        return OK
-    rows = [tuple(str(value) for value in record.values()) for record in records]
-    print_table("Built-in cells", ("name", "robot", "reach m", "payload kg", "numbers from"), rows)
-    return OK
+    return (record["id"], str(record["configurations"]), record["solver"], clearance, why, remedy)

@@ -2,19 +2,22 @@
 
 import html as markup
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from scanmotion.cli.app import print_table, say_json
+
+if TYPE_CHECKING:
+    from scanmotion.planning.plan import Plan
 
 ANSWER = "nothing is missing: the scan has no hole that a viewpoint could fill"
 
 
-def is_complete(made: Any) -> bool:
+def is_complete(made: "Plan") -> bool:
     """Whether a plan is empty because nothing is left to do, and not because something stood in the way."""
     return made.options.source == "scan" and made.trajectory is None and not made.unreachable
 
 
-def write_answer(made: Any, out: Path, *, html: bool) -> dict[str, Any]:
+def write_answer(made: "Plan", out: Path, *, html: bool) -> dict[str, Any]:
     """Writes summary.json and report.html into a folder that holds no plan, and returns the summary."""
     import json
 
@@ -29,7 +32,7 @@ def write_answer(made: Any, out: Path, *, html: bool) -> dict[str, Any]:
     return summary
 
 
-def summary_of(made: Any) -> dict[str, Any]:
+def summary_of(made: "Plan") -> dict[str, Any]:
     """What summary.json says where there is no programme."""
     part, tiny = made.part, made.holes.tiny if made.holes is not None else ()
     return {
@@ -52,7 +55,7 @@ def summary_of(made: Any) -> dict[str, Any]:
     }
 
 
-def page_of(made: Any, summary: dict[str, Any]) -> str:
+def page_of(made: "Plan", summary: dict[str, Any]) -> str:
     """The report: the answer, what was read, and a picture of the scan."""
     import base64
     import io

@@ -1,13 +1,16 @@
 """`scanmotion fuse`: measured scans into one."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from scanmotion.cli.app import OK, progress_bar
 from scanmotion.cli.inputs import OUT, Quiet, Units, check_file, check_suffix
 from scanmotion.core.errors import InputError
+
+if TYPE_CHECKING:
+    from scanmotion.sensing.fusion.fuse import Cloud
 
 
 def fuse(
@@ -141,7 +144,7 @@ def measured_scans(files: list[Path], poses: dict[str, Any], units: str, progres
     return scans
 
 
-def write_surface(path: Path, cloud: Any) -> str:
+def write_surface(path: Path, cloud: "Cloud") -> str:
     """The surface through a cloud as binary PLY in mm; says how much it is."""
     from scanmotion.geometry.ply import write_ply
     from scanmotion.sensing.fusion.surface import surface
@@ -151,7 +154,7 @@ def write_surface(path: Path, cloud: Any) -> str:
     return f"{len(triangles)} triangles"
 
 
-def write_cloud(path: Path, cloud: Any) -> str:
+def write_cloud(path: Path, cloud: "Cloud") -> str:
     """A cloud with normals as binary PLY in mm, whole or not at all; says how much it is."""
     from scanmotion.geometry.ply import write_ply
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from scanmotion.core.errors import InputError
+from scanmotion.core.whole_file import write_whole
 
 if TYPE_CHECKING:
     from scanmotion.cell.settings import CellSettings
@@ -190,23 +191,7 @@ def check_mode(mode: str) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Writes the whole file or none of it."""
-    write_bytes(path, text.encode())
-
-
-def write_bytes(path: Path, data: bytes) -> None:
-    """Writes the whole file or none of it: to a temporary name, then renamed."""
-    import os
-    import tempfile
-
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    write_whole(path, text)
 
 
 def check_suffix(option: str, path: Path | None, *known: str) -> None:

@@ -1,13 +1,16 @@
 """`scanmotion verify`, `show` and `export`: what is done with a plan's folder."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from scanmotion.cli.app import CHECK_FAILED, OK, print_table, progress_bar, say_json
 from scanmotion.cli.inputs import OUT, Json, Quiet, write_text
 from scanmotion.core.errors import InputError
+
+if TYPE_CHECKING:
+    from scanmotion.planning.plan import Plan
 
 Folder = Annotated[Path, typer.Argument(help="Folder that `scanmotion plan` wrote.")]
 
@@ -29,13 +32,17 @@ def verify(
     if plan is not None:
         raise InputError("--plan: belongs to a programme's file, not to a plan's folder")
     from scanmotion.judge import verify as judge
+    from scanmotion.judge.left_out import not_judged
 
     with progress_bar(quiet=quiet or json):
         findings = judge(folder)
     if json:
-        say_json({"ok": not findings, "findings": [str(f) for f in findings]})
+        told = {"ok": not findings, "findings": [str(f) for f in findings]}
+        say_json(told | {"not_judged": not_judged(folder)})
     elif not quiet:
         _say_findings([str(f) for f in findings])
+        rows = [(pair["a"], pair["b"], pair["reason"]) for pair in not_judged(folder)]
+        print_table("Pairs that are not judged", ("", "", "reason"), rows)
     return CHECK_FAILED if findings else OK
 
 
@@ -89,7 +96,7 @@ def show(
     if live:
         return _serve(plan, browser=browser)
     with progress_bar(quiet=quiet) as progress:
-        for name, text in pages(plan, progress).items():
+        for name, text in pages(plan, progress=progress).items():
             write_text(folder / name, text)
             if not quiet:
                 typer.echo(str(folder / name))
@@ -98,7 +105,7 @@ def show(
     return OK
 
 
-def _serve(plan: object, *, browser: bool) -> int:
+def _serve(plan: "Plan", *, browser: bool) -> int:
     from threading import Event
 
     from scanmotion.report.scene import live_scene
@@ -120,9 +127,39 @@ def _open(address: str) -> None:
     webbrowser.open(address)
 
 
+def _rest_folder(folder: Path, out: Path | None, step: int | None, at: str | None) -> Path:
+    """Writes the plan of what is left to the folder of --out, and names it."""
+    import numpy as np
+
+    from scanmotion.controller.log import EXECUTED, read_executed
+    from scanmotion.plan_io.files import atomic_folder
+    from scanmotion.plan_io.resume import rest_files
+
+    if out is None or out.resolve() == folder.resolve():
+        raise InputError("--rest and --step write a plan of their own: name a folder for it (--out)")
+    known = read_executed(folder) if step is None or (folder / EXECUTED).exists() else None
+    if known is not None and known.ended and step is None:
+        raise InputError(
+            f"{folder}: the last run came to its end; nothing is left (--step N for a part of it)"
+        )
+    first = step if step is not None else (known.completed if known is not None else 0) + 1
+    stands = None if known is None else np.array(known.q_deg)
+    if at is not None:
+        try:
+            stands = np.array([float(x) for x in at.split(",")])
+        except ValueError:
+            stands = np.zeros(0)
+        if stands.shape != (7,) or not np.isfinite(stands).all():
+            raise InputError(f"--at {at[:80]}: seven numbers with commas are expected, A1 to A6 and E1")
+    files = rest_files(folder, first, None if stands is None else np.deg2rad(stands))
+    return atomic_folder(out, files)
+
+
 def export(
     folder: Folder,
-    to: Annotated[str, typer.Option("--to", help="csv, json, viewpoints, krl, krl-timed, ros or mcap.")],
+    to: Annotated[
+        str, typer.Option("--to", help="csv, json, viewpoints, krl, krl-timed, rapid, ros or mcap.")
+    ],
     out: Annotated[
         Path | None,
         typer.Option("--out", help="Where to write; by default the plan's folder.", rich_help_panel=OUT),
@@ -135,6 +172,13 @@ def export(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Scanner off, a tenth of the speed, a halt at each view.")
     ] = False,
+    rest: Annotated[
+        bool, typer.Option("--rest", help="Only what the last run left, from where the robot stands.")
+    ] = False,
+    step: Annotated[int | None, typer.Option("--step", help="Only from this step on.")] = None,
+    at: Annotated[
+        str | None, typer.Option("--at", help="Where the robot stands: A1,..,A6,E1 in degrees.")
+    ] = None,
     quiet: Quiet = False,
 ) -> int:
     """Write a plan for a controller or another program."""
@@ -142,6 +186,10 @@ def export(
 
     if out is not None and out.exists() and not out.is_dir():
         raise InputError(f"--out {out}: is not a folder")
+    if rest or step is not None:
+        folder = _rest_folder(folder, out, step, at)
+    elif at is not None:
+        raise InputError("--at: belongs to --rest or --step")
     for path in export_plan(folder, to, out=out, name=name, signal=signal, dry_run=dry_run):
         if not quiet:
             typer.echo(str(path))

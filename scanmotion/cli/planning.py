@@ -1,12 +1,14 @@
 """`scanmotion plan`."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from scanmotion.cli.app import CHECK_FAILED, OK, print_table, progress_bar, say_json
+from scanmotion.cli.app import CHECK_FAILED, OK, Progress, print_table, progress_bar, say_json
 from scanmotion.cli.complete import is_complete, say_answer, write_answer
 from scanmotion.cli.inputs import (  # fmt: skip
     CELL,
@@ -30,6 +32,13 @@ from scanmotion.cli.inputs import (  # fmt: skip
     say_read,
 )
 from scanmotion.core.errors import InputError
+
+if TYPE_CHECKING:
+    from scanmotion.cell.settings import CellSettings
+    from scanmotion.core.part import Part
+    from scanmotion.core.summary import LeftOut, Summary, WithinReach
+    from scanmotion.planning.options import PlanOptions
+    from scanmotion.planning.plan import Plan
 
 AGAIN = "Planning again"
 TWIN = "The scan twin"
@@ -154,23 +163,29 @@ def plan(
     check_known("--motion", motion, MOTIONS)
     check_out_folder(out)
     only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
-    settings = subject = source = answer = None
-    twin = {"calibrate": calibrate, "surface": surface, "keep_scans": save_scans, "helix": helix}
-    if keep is None:
+    subject = answer = None
+    check_budget(budget)
+    from scanmotion.planning.options import PlanOptions
+
+    options = PlanOptions(calibrate=calibrate, surface=surface, keep_scans=save_scans, helix=helix)
+    if keep is not None:
+        request = Again(folder=keep, done=done, failed=tuple(failed or ()), budget=budget, options=options)
+    else:
         settings = with_budget(cell_from(robot, cell), budget)
         subject, source = part_and_source(part, box, scan, units=units, up=up, place=place)
+        words = {"source": source, "mode": mode, "strategy": strategy, "seed": seed}
+        fill = budget is not None and completeness is None
+        options = replace(
+            options, thorough=thorough, tidy=tidy, motion=motion, completeness=completeness, fill=fill,
+            **words,
+        )  # fmt: skip
+        request = New(part=subject, settings=settings, options=options)
     with progress_bar(quiet=quiet or json) as progress:
-        if keep is not None:
-            made = planned_again(keep, done, failed or (), budget, progress, **twin)
-        else:
-            told = {"source": source, "mode": mode, "strategy": strategy, "seed": seed}
-            told |= {"thorough": thorough, "tidy": tidy, "motion": motion, "completeness": completeness}
-            told |= {"fill": budget is not None and completeness is None}
-            made = planned(subject, settings, progress, **told, **twin)
+        made = request.planned(progress)
         if is_complete(made):
             answer = write_answer(made, out, html=html)
         else:
-            made.save(out, extras=pages(made, progress) if html else {})
+            made.save(out, pages=partial(pages, progress=progress) if html else None)
     if subject is not None:
         say_read(subject, quiet=quiet or json)
     if answer is not None:
@@ -178,32 +193,50 @@ def plan(
         return OK
     summary = read_summary(out)
     if json:
-        say_json(summary)
+        say_json(summary.document())
     elif not quiet:
         print_summary(summary, out, html=html)
-    return OK if passes(summary) else CHECK_FAILED
+    return OK if summary.passes else CHECK_FAILED
 
 
-def planned(subject: Any, settings: Any, progress: Any, **options: Any) -> Any:
-    """A new plan."""
-    from scanmotion.planning.pipeline import PlanOptions, plan
+@dataclass(frozen=True, eq=False, kw_only=True)
+class New:
+    """A plan that begins with nothing."""
 
-    return plan(subject, settings, options=PlanOptions(**options), progress=progress)
+    part: "Part"
+    settings: "CellSettings"
+    options: "PlanOptions"
+
+    def planned(self, progress: Progress) -> "Plan":
+        """The plan."""
+        from scanmotion.planning.pipeline import plan
+
+        return plan(self.part, self.settings, options=self.options, progress=progress)
 
 
-def planned_again(
-    keep: Any, done: str, failed: Sequence[str], budget: float | None, progress: Any, **options: Any
-) -> Any:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Again:
     """What an earlier plan has not executed, planned anew behind what it has."""
-    from scanmotion.planning.pipeline import PlanOptions
-    from scanmotion.planning.replan import replan
 
-    check_budget(budget)
-    told = PlanOptions(**options)
-    return replan(keep, done=done, failed=failed, budget_s=budget, options=told, progress=progress)
+    folder: Path
+    done: str
+    failed: tuple[str, ...]
+    budget: float | None
+    """[s]; None for that of the earlier plan."""
+    options: "PlanOptions"
+
+    def planned(self, progress: Progress) -> "Plan":
+        """The plan."""
+        from scanmotion.plan_io.load import load_plan
+        from scanmotion.planning.replan import replan
+
+        return replan(
+            load_plan(self.folder), done=self.done, failed=self.failed, budget_s=self.budget,
+            options=self.options, progress=progress,
+        )  # fmt: skip
 
 
-def only_with_keep(keep: Path | None, done: str, failed: Sequence[str] | None, **given: Any) -> None:
+def only_with_keep(keep: Path | None, done: str, failed: Sequence[str] | None, **given: object) -> None:
     """Refuses options that contradict --keep, or need it.
 
     Raises:
@@ -216,7 +249,7 @@ def only_with_keep(keep: Path | None, done: str, failed: Sequence[str] | None, *
         raise InputError(f"--{wrong[0]}: the plan that --keep names has it already")
 
 
-def pages(made: Any, progress: Any) -> dict[str, str]:
+def pages(made: "Plan", progress: Progress) -> dict[str, str]:
     """The two HTML files that go with a plan."""
     from scanmotion.report.page import report_html
     from scanmotion.report.scene import scene_html
@@ -227,15 +260,10 @@ def pages(made: Any, progress: Any) -> dict[str, str]:
     return {"scene.html": scene, "report.html": report_html(made)}
 
 
-def with_budget(settings: Any, budget: float | None) -> Any:
-    """The settings with another budget [s].
-
-    Raises:
-        InputError: the budget is not a positive number.
-    """
+def with_budget(settings: "CellSettings", budget: float | None) -> "CellSettings":
+    """The settings with another budget [s]."""
     if budget is None:
         return settings
-    check_budget(budget)
     process = settings.process.model_copy(update={"budget_s": budget})
     return settings.model_copy(update={"process": process})
 
@@ -250,98 +278,82 @@ def check_budget(budget: float | None) -> None:
         raise InputError(f"--budget {budget:g}: must be a positive number of seconds")
 
 
-def read_summary(folder: Path) -> dict[str, Any]:
+def read_summary(folder: Path) -> "Summary":
     """summary.json of a plan folder."""
-    import json
+    from scanmotion.plan_io.read import read_summary
 
-    return json.loads((folder / "summary.json").read_text())
-
-
-def passes(summary: dict[str, Any]) -> bool:
-    """Whether the plan is inside its budget and the judge found nothing."""
-    return bool(summary["budget"]["ok"]) and not summary["findings"]
+    return read_summary(folder)
 
 
-def print_summary(summary: dict[str, Any], folder: Path, *, html: bool = True) -> None:
+def print_summary(summary: "Summary", folder: Path, *, html: bool = True) -> None:
     """The table that ends `scanmotion plan`."""
     print_table("The plan", (), summary_rows(summary))
-    unreachable = summary["viewpoints"]["unreachable"]
+    unreachable = summary.viewpoints.unreachable
     if unreachable:
         print_table("Viewpoints left out", ("viewpoint", "reason"), left_out_rows(unreachable))
-    if summary["budget"].get("advice"):
-        print_table("Over the budget", ("what would help",), [(a,) for a in summary["budget"]["advice"]])
-    if summary["findings"]:
-        rows = [(finding_line(f),) for f in summary["findings"]]
-        print_table("The judge found", ("finding",), rows)
+    if summary.budget.advice:
+        print_table("Over the budget", ("what would help",), [(a,) for a in summary.budget.advice])
+    if summary.findings:
+        print_table("The judge found", ("finding",), [(line,) for line in summary.finding_lines])
     names = ["trajectory.csv", "summary.json"] + (["scene.html", "report.html"] if html else [])
     names += [name for name in ("cloud.ply", "deviation.ply") if (folder / name).is_file()]
     print_table("Files", (), [(name.split(".")[0], str(folder / name)) for name in names])
 
 
-def left_out_rows(unreachable: Sequence[dict[str, str]]) -> list[tuple[str, str]]:
+def left_out_rows(unreachable: "Sequence[LeftOut]") -> list[tuple[str, ...]]:
     """Viewpoints and reasons; many that are only not worth their seconds share a line."""
-    dear = [u for u in unreachable if u["reason"].startswith("not worth its seconds")]
+    dear = [u for u in unreachable if u.reason.startswith("not worth its seconds")]
     if len(dear) <= FEW:
-        return [(u["id"], u["reason"]) for u in unreachable]
-    rows = [(u["id"], u["reason"]) for u in unreachable if u not in dear]
+        return [(u.id, u.reason) for u in unreachable]
+    rows: list[tuple[str, ...]] = [(u.id, u.reason) for u in unreachable if u not in dear]
     return [*rows, (f"{len(dear)} others", "not worth their seconds; summary.json lists them")]
 
 
-def finding_line(finding: Any) -> str:
-    """A finding as one line, whether it is a sentence or a record."""
-    if isinstance(finding, dict):
-        return finding.get("message") or ", ".join(f"{k} {v}" for k, v in finding.items())
-    return str(finding)
-
-
-def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+def summary_rows(summary: "Summary") -> list[tuple[str, ...]]:
     """Name and value of each line of the final table."""
-    views, done, exact = summary["viewpoints"], summary["completeness"], summary["accuracy"]
-    time, budget = summary["time_s"], summary["budget"]
-
-    def share(value: float | None) -> str:
-        return "not known" if value is None else f"{value:.2%}"
-
-    def mm(value: float | None) -> str:
-        return "not known" if value is None else f"{value:.3f} mm"
-
-    split = ", ".join(f"{name} {time[name]:.1f}" for name in ("arm", "table", "sweep", "dwell"))
-    verdict, limit = ("inside" if budget["ok"] else "OVER"), budget["limit_s"]
+    views, done, exact = summary.viewpoints, summary.completeness, summary.accuracy
+    time, budget = summary.time_s, summary.budget
+    split = f"arm {time.arm:.1f}, table {time.table:.1f}, sweep {time.sweep:.1f}, dwell {time.dwell:.1f}"
+    verdict = "inside" if budget.ok else "OVER"
     return [
-        (
-            "viewpoints",
-            f"{views['global']} global, {views['local']} local, {len(views['unreachable'])} left out",
-        ),
-        ("completeness, of what can be seen", share(done["final"])),
+        ("viewpoints", f"{views.global_} global, {views.local} local, {len(views.unreachable)} left out"),
+        ("completeness, of what can be seen", _share(done.final)),
         *sure_rows(summary),
-        ("after the global step", share(done["after_global"])),
-        *reach_rows(summary),
-        ("of the whole surface", share(done["final_of_whole"])),
-        ("accuracy", f"mean {mm(exact['mean_abs_mm'])}, standard deviation {mm(exact['sd_signed_mm'])}"),
+        ("after the global step", _share(done.after_global)),
+        *reach_rows(summary.within_reach),
+        ("of the whole surface", _share(done.final_of_whole)),
+        ("accuracy", f"mean {_mm(exact.mean_abs_mm)}, standard deviation {_mm(exact.sd_signed_mm)}"),
         *twin_rows(summary),
-        ("time", f"{time['total']:.1f} s, {verdict} the budget of {limit:g} s (floor {time['floor']:.1f} s)"),
+        (
+            "time",
+            f"{time.total:.1f} s, {verdict} the budget of {budget.limit_s:g} s (floor {time.floor:.1f} s)",
+        ),
         ("of which [s]", split),
-        *([("helix", summary["helix"]["note"])] if "helix" in summary else []),
-        *([("motion", summary["motion"]["note"])] if "motion" in summary else []),
-        ("checks", counted(len(summary["findings"]))),
-        ("planned in", f"{summary['planning_s']['total']:.1f} s"),
-    ]  # fmt: skip
-
-
-def sure_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """Line of the final table on how sure the prediction is, where that is known."""
-    found = summary.get("confidence")
-    return [] if found is None else [("how sure", found["statement"])]
-
-
-def reach_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """Line of the final table on what this robot's scanner can be brought to see, where that is known."""
-    found = summary.get("within_reach") or {}
-    if found.get("scanned") is None:
-        return []
-    return [
-        ("of what this robot can reach", f"{found['scanned']:.2%} ({found['share']:.2%} is within reach)")
+        *([("helix", summary.helix.note)] if summary.helix is not None else []),
+        *([("motion", summary.motion.note)] if summary.motion is not None else []),
+        ("checks", counted(len(summary.findings))),
+        ("planned in", f"{summary.planning_s['total']:.1f} s"),
     ]
+
+
+def _share(value: float | None) -> str:
+    return "not known" if value is None else f"{value:.2%}"
+
+
+def _mm(value: float | None) -> str:
+    return "not known" if value is None else f"{value:.3f} mm"
+
+
+def sure_rows(summary: "Summary") -> list[tuple[str, ...]]:
+    """Line of the final table on how sure the prediction is, where that is known."""
+    return [] if summary.confidence is None else [("how sure", summary.confidence.statement)]
+
+
+def reach_rows(found: "WithinReach") -> list[tuple[str, ...]]:
+    """Line of the final table on what this robot's scanner can be brought to see, where that is known."""
+    if found.scanned is None or found.share is None:
+        return []
+    return [("of what this robot can reach", f"{found.scanned:.2%} ({found.share:.2%} is within reach)")]
 
 
 def counted(findings: int) -> str:
@@ -349,16 +361,16 @@ def counted(findings: int) -> str:
     return "no finding" if not findings else "1 finding" if findings == 1 else f"{findings} findings"
 
 
-def twin_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+def twin_rows(summary: "Summary") -> list[tuple[str, ...]]:
     """Lines of the final table on the surface, calibration and registration, where there are any."""
-    rows, made, found = [], summary["accuracy"].get("surface"), summary.get("calibration")
+    rows: list[tuple[str, ...]] = []
+    made, found = summary.accuracy.surface, summary.calibration
     if made is not None:
-        sd = made["sd_signed_mm"]
-        rows.append(("of the surface", f"mean {made['mean_abs_mm']:.3f} mm, standard deviation {sd:.3f} mm"))
+        told = f"mean {_mm(made.mean_abs_mm)}, standard deviation {_mm(made.sd_signed_mm)}"
+        rows.append(("of the surface", told))
     if found is not None:
-        before, after = (found["global_cloud"][k]["mean_abs_mm"] for k in ("before", "after"))
-        bought = f"the global scan's mean from {before:.3f} to {after:.3f} mm"
-        rows.append(("calibration", bought if found["applied"] else found["statement"]))
-    for item in summary.get("registration", []):
-        rows.append((f"round {item['round']} on the cloud", item["statement"]))
+        before, after = found.global_cloud.before.mean_abs_mm, found.global_cloud.after.mean_abs_mm
+        bought = f"the global scan's mean from {_mm(before)} to {_mm(after)}"
+        rows.append(("calibration", bought if found.applied else found.statement))
+    rows += [(f"round {item.round} on the cloud", item.statement) for item in summary.registration]
     return rows

@@ -35,6 +35,11 @@ class Part:
                 value.setflags(write=False)
                 object.__setattr__(self, name, value)
 
+    def __repr__(self) -> str:
+        size = " x ".join(f"{side * 1e3:.0f}" for side in self.extent)
+        what = f"{len(self.triangles)} triangles" if self.is_mesh else f"{len(self.vertices)} points"
+        return f"Part({self.name!r}, {what}, {size} mm)"
+
     @property
     def is_mesh(self) -> bool:
         return len(self.triangles) > 0

@@ -4,6 +4,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 
+def counted(n: int, word: str) -> str:
+    """A number with its word: "1 speck", "3 specks"."""
+    return f"{n} {word}" if n == 1 else f"{n} {word}s"
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReadReport:
     """What a file held, what was taken for what, and what was changed before use."""

@@ -80,3 +80,20 @@ def joined(first: Trajectory, second: Trajectory) -> Trajectory:
         operation=np.concatenate([first.operation, second.operation[1:] + count]),
         operations=first.operations + operations,
     )
+
+
+def piece(whole: Trajectory, first: int, last: int) -> Trajectory:
+    """The operations `first` to `last` by themselves, from time 0: what `joined` puts together."""
+    rows = np.flatnonzero((whole.operation >= first) & (whole.operation <= last))
+    # A shared instant belongs to the earlier operation.
+    begin = rows[0] if first == 0 else max(rows[0] - 1, 0)
+    span = slice(begin, rows[-1] + 1)
+    t0 = whole.operations[first].t_start
+    operations = tuple(
+        replace(o, index=o.index - first, t_start=o.t_start - t0, t_end=o.t_end - t0)
+        for o in whole.operations[first : last + 1]
+    )
+    return Trajectory(
+        t=whole.t[span] - whole.t[begin], q=whole.q[span], qd=whole.qd[span], qdd=whole.qdd[span],
+        operation=np.maximum(whole.operation[span] - first, 0), operations=operations,
+    )  # fmt: skip

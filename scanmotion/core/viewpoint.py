@@ -53,6 +53,10 @@ class Viewpoint:
         X.setflags(write=False)
         object.__setattr__(self, "X_OS", X)
 
+    def __repr__(self) -> str:
+        x, y, z = (f"{v * 1e3:.0f}" for v in self.p_OS)
+        return f"Viewpoint({self.id!r}, {self.kind}, at ({x}, {y}, {z}) mm, {self.standoff * 1e3:.0f} mm off)"
+
     @property
     def p_OS(self) -> np.ndarray:
         """Position of the optical centre in O, shape (3,) [m]."""

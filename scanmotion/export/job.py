@@ -11,7 +11,7 @@ from scanmotion.cell.settings import CellSettings, settings_from
 from scanmotion.core.errors import InputError, PlanFileError
 from scanmotion.export.pose import Arm, arm_from_urdf
 from scanmotion.export.source import Source, Stretch
-from scanmotion.plan_io.schema import read_json, read_text
+from scanmotion.plan_io.read import read_json, read_text
 
 DRY_PERCENT = 10
 """Speed of a dry run."""

@@ -1,8 +1,6 @@
 """What every writer starts from, which text it may pass on, and how files reach the disk."""
 
-import os
 import re
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +9,9 @@ import numpy as np
 
 from scanmotion.core.errors import InputError, PlanFileError
 from scanmotion.core.trajectory import Operation, Trajectory
-from scanmotion.plan_io.schema import PlanRecord, read_plan, read_trajectory
+from scanmotion.core.whole_file import write_together
+from scanmotion.plan_io.read import read_plan, read_trajectory
+from scanmotion.plan_io.schema import PlanRecord
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,39}")
@@ -141,23 +141,13 @@ def write_files(folder: Path, files: Mapping[str, bytes | str]) -> list[Path]:
     Raises:
         InputError: the folder cannot be written.
     """
-    waiting: list[tuple[Path, Path]] = []
+    paths = {folder / name: content for name, content in files.items()}
     try:
-        for name, content in files.items():
-            path = folder / name
+        for path in paths:
             path.parent.mkdir(parents=True, exist_ok=True)
-            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-            waiting.append((Path(temporary), path))
-            with os.fdopen(handle, "wb") as file:
-                file.write(content.encode("utf-8") if isinstance(content, str) else content)
-            os.chmod(temporary, 0o644)
-            if path.is_dir():
-                raise InputError(f"{path}: is a folder")
-        for temporary, path in waiting:
-            os.replace(temporary, path)
+        write_together(paths)
+    except IsADirectoryError as error:
+        raise InputError(f"{error.filename}: is a folder") from None
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
-    finally:
-        for temporary, _ in waiting:
-            temporary.unlink(missing_ok=True)
-    return [path for _, path in waiting]
+    return list(paths)

@@ -55,7 +55,7 @@ def cloud_from_file(
         if up is None:
             made = with_checked_normals(measured_points(raw.vertices, raw.normals, name))
         else:
-            made = mended_cloud(raw.vertices, raw.normals, up=up, path=name)
+            made = mended_cloud(raw.vertices, raw.normals, up=up, path=name, islands=False)
         unit, units_from = unit_of(raw, units, made.points, guess=False)
         report = report_of(raw, made, name, unit, units_from, np.ptp(made.points, axis=0) * UNITS[unit])
     check_steps(made.points, raw.step, name)

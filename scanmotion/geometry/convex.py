@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-MOST_PIECES = 4
+MOST_PIECES = 6
 """Slabs that a mesh is cut into at most."""
 _THIN_M = 1e-3
 """A flat mesh is taken for so thick [m]."""
-_ENOUGH = 0.9
-"""More slabs have to take away a tenth of the volume."""
+_ENOUGH = 0.93
+"""More slabs have to take away so much of the volume of the boxes about them."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -64,21 +64,22 @@ def convex_pieces(vertices: np.ndarray, triangles: np.ndarray, *, most: int = MO
         triangles: shape (m, 3).
         most: pieces at most.
     """
-    best = [hull_from(vertices[np.unique(triangles)])]
+    best = [vertices[np.unique(triangles)]]
     for count in range(2, most + 1):
         cuts = [_slabs(vertices, triangles, axis, count) for axis in range(3)]
-        pieces = min(cuts, key=_volume)
-        if _volume(pieces) < _ENOUGH * _volume(best):
+        pieces = min(cuts, key=_boxes)
+        if _boxes(pieces) < _ENOUGH * _boxes(best):
             best = pieces
-    return best
+    return [hull_from(points) for points in best]
 
 
-def _volume(pieces: list[Hull]) -> float:
-    return sum(piece.volume for piece in pieces)
+def _boxes(pieces: list[np.ndarray]) -> float:
+    """Volume of the boxes about the pieces' points [m3]."""
+    return sum(float(np.prod(np.maximum(np.ptp(points, axis=0), _THIN_M))) for points in pieces)
 
 
-def _slabs(vertices: np.ndarray, triangles: np.ndarray, axis: int, count: int) -> list[Hull]:
-    """Hulls of the mesh between `count` + 1 planes across an axis."""
+def _slabs(vertices: np.ndarray, triangles: np.ndarray, axis: int, count: int) -> list[np.ndarray]:
+    """Points whose hulls hold the mesh between `count` + 1 planes across an axis."""
     used = vertices[np.unique(triangles)]
     low, high = used[:, axis].min(), used[:, axis].max()
     planes = np.linspace(low, high, count + 1)
@@ -92,7 +93,7 @@ def _slabs(vertices: np.ndarray, triangles: np.ndarray, axis: int, count: int) -
         inside = (used[:, axis] >= planes[n]) & (used[:, axis] <= planes[n + 1])
         points = np.concatenate([used[inside], cuts[n], cuts[n + 1]])
         if len(points):
-            pieces.append(hull_from(points))
+            pieces.append(points)
     return pieces
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from scanmotion.core.errors import PartError
 from scanmotion.core.part import Part, SurfaceSamples
+from scanmotion.geometry.files.raw import RawGeometry
 from scanmotion.geometry.mending.mend_cloud import MendedCloud, mended_cloud
 from scanmotion.geometry.mending.mend_mesh import Mended, mended
 from scanmotion.geometry.part_files import read_geometry
@@ -72,8 +73,13 @@ def part_from_file(
     Raises:
         PartError: missing, broken, empty, flat, or absurd in size; the line says what.
     """
-    raw = read_geometry(path)
-    name = str(path)
+    return part_from_raw(read_geometry(path), str(path), units=units, up=up, place=place, guess=guess)
+
+
+def part_from_raw(
+    raw: RawGeometry, name: str, *, units: str | None, up: str, place: str, guess: bool = False
+) -> Part:
+    """Checks and mends what was read from the file `name`, or made in memory; arguments as part_from_file."""
     if units and units not in UNITS:
         raise PartError(f"unknown unit {units!r}; known: {', '.join(UNITS)}", path=name)
     if place not in ("centre", "keep"):
@@ -96,7 +102,7 @@ def part_from_file(
     X_OI[:3, :3], X_OI[:3, 3] = R * UNITS[unit], shift
     normals = made.normals if isinstance(made, MendedCloud) else None
     return Part(
-        name=Path(path).stem, vertices=scaled + shift,
+        name=Path(name).stem, vertices=scaled + shift,
         triangles=made.triangles if isinstance(made, Mended) else raw.triangles,
         normals=None if normals is None else normals @ R.T, X_OI=X_OI,
         closed=isinstance(made, Mended) and made.closed,

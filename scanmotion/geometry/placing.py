@@ -15,7 +15,9 @@ _AXES = {"x": 0, "y": 1, "z": 2}
 _LEAST, _MOST = 0.01, 20.0
 """Nothing smaller or larger is scanned in such a cell [m]."""
 _BLURRED = 0.01
-"""A file whose steps are more than this share of the part's size has lost its surface."""
+"""A file whose steps are more than this share of the part's size has lost its surface, if it is far off."""
+_FAR = 20.0
+"""Coordinates are far off beyond so many times the part's size."""
 
 
 def upright(up: str, path: str) -> np.ndarray:
@@ -83,8 +85,8 @@ def check_steps(points: np.ndarray, step: float, path: str) -> None:
         PartError: with the step of the file.
     """
     size = float(np.ptp(points, axis=0).max())
-    if step > _BLURRED * size > 0:
-        far = float(np.abs(points).max())
+    far = float(np.abs(points).max())
+    if step > _BLURRED * size > 0 and far > _FAR * size:
         raise PartError(
             f"its coordinates (up to {far:.6g}) are written in steps of {step:.3g}, its size is {size:.3g}: "
             "the surface is lost; export it about a local origin or in double precision",

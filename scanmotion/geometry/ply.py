@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from scanmotion.core.errors import InputError
+from scanmotion.core.whole_file import write_whole
 
 _FAR = 200.0
 """Beyond so many times their extent from the origin, coordinates are written in double precision."""
@@ -22,20 +23,21 @@ def write_ply(
 
 def ply_data(
     points: np.ndarray, *, normals: np.ndarray | None = None, colors: np.ndarray | None = None,
-    quality: np.ndarray | None = None, triangles: np.ndarray | None = None,
+    quality: np.ndarray | None = None, triangles: np.ndarray | None = None, double: bool = False,
 ) -> bytes:  # fmt: skip
-    """A binary little-endian PLY in single precision; in double where that would lose the surface.
+    """A binary little-endian PLY, in the unit of `points`; in single precision where that loses no surface.
 
     Args:
         points: shape (n, 3).
-        normals: shape (n, 3).
+        normals: unit vectors, shape (n, 3).
         colors: shape (n, 3) uint8.
-        quality: shape (n,).
-        triangles: shape (t, 3).
+        quality: a number for each point, shape (n,).
+        triangles: indices of points, shape (t, 3).
+        double: whether points are written in double precision.
     """
     # Far from the origin (UTM) single precision would lose the surface.
     far = len(points) and np.abs(points).max() > _FAR * max(float(np.ptp(points, axis=0).max()), 1e-300)
-    place = "f8" if far else "f4"
+    place = "f8" if far or double else "f4"
     fields = [("x", place), ("y", place), ("z", place)]
     fields += [("nx", "f4"), ("ny", "f4"), ("nz", "f4")] if normals is not None else []
     fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")] if colors is not None else []
@@ -59,10 +61,12 @@ def ply_data(
 
 
 def replaced(path: Path, data: bytes) -> None:
-    """Writes `data` under a temporary name and renames it: the file is whole or not there."""
-    part = path.with_name(path.name + ".part")
+    """Writes the whole file or none of it.
+
+    Raises:
+        InputError: it cannot be written.
+    """
     try:
-        part.write_bytes(data)
-        part.replace(path)
+        write_whole(path, data)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from None

@@ -54,7 +54,9 @@ def _with_made(job: Job, made: Any, step: str) -> Job:
     """Writes a plan into the job: its folder first, then the record."""
     name = f"plan-{len(job.record.plans) + 1}"
     made.save(job.folder / name)
-    frames = len(programme_captures(build_cell(job.settings), load_plan(job.folder / name).trajectory))
+    written = load_plan(job.folder / name).trajectory
+    assert written is not None
+    frames = len(programme_captures(build_cell(job.settings), written))
     return with_plan(job, PlanEntry(folder=name, step=step, frames=frames))
 
 

@@ -212,11 +212,13 @@ def _check_log(log: Trajectory, t: np.ndarray, lines: Sequence[Line]) -> None:
     at = np.searchsorted(log.t, t)
     for k in np.flatnonzero((t < log.t[0]) | (t > log.t[-1])):
         raise InputError(
-            f"{lines[k].file}: {t[k]:.3f} s is outside of the log, {log.t[0]:.3f} to {log.t[-1]:.3f} s"
+            f"{lines[int(k)].file}: {t[k]:.3f} s is outside of the log, {log.t[0]:.3f} to {log.t[-1]:.3f} s"
         )
     after = np.clip(at, 1, len(log.t) - 1)
     for k in np.flatnonzero(log.t[after] - log.t[after - 1] > _GAP_S):
-        raise InputError(f"{lines[k].file}: the log has a gap of more than {_GAP_S:g} s about {t[k]:.3f} s")
+        raise InputError(
+            f"{lines[int(k)].file}: the log has a gap of more than {_GAP_S:g} s about {t[k]:.3f} s"
+        )
 
 
 def _indexed(lines: Sequence[Line], captures: Captures) -> Captures:

@@ -63,6 +63,7 @@ def write_simulated(
     if not truth.is_mesh:
         raise InputError(f"{truth.name}: the twin scans a mesh, not a cloud")
     plan, settings, cell = load_plan(job.plan_folder(number)), job.settings, build_cell(job.settings)
+    assert plan.trajectory is not None
     nominal = programme_captures(cell, plan.trajectory)
     pedestal = settings.pedestal
     scene = scene_from(

@@ -17,7 +17,7 @@ from scanmotion.judge.helix import check_helices
 from scanmotion.judge.limits import check_limits, check_record, check_settings, check_speed
 from scanmotion.judge.motion import motion_from
 from scanmotion.judge.views import check_operations, check_viewpoints
-from scanmotion.plan_io.schema import read_json, read_plan, read_trajectory
+from scanmotion.plan_io.read import read_json, read_plan, read_trajectory
 
 __all__ = ["Finding", "verify"]
 
@@ -39,6 +39,8 @@ def verify(folder: str | Path, *, progress: Callable[[float], None] | None = Non
     record = read_plan(folder)
     trajectory = read_trajectory(folder, record)
     motion = motion_from(folder, record, trajectory)
+    # The budget is the scan's; what follows the last frame is the way home.
+    scan_s = max((o.t_end for o in record.operations if o.kind != "transit"), default=trajectory.duration)
     findings = check_record(record, motion)
     findings += check_settings(record, read_json(folder, record.cell_file))
     findings += check_limits(record, trajectory)
@@ -47,17 +49,17 @@ def verify(folder: str | Path, *, progress: Callable[[float], None] | None = Non
     findings += check_viewpoints(record, trajectory, motion)
     findings += check_helices(record, trajectory, motion)
     if (folder / "summary.json").exists():
-        findings += _check_summary(read_json(folder, "summary.json"), trajectory.duration)
+        findings += _check_summary(read_json(folder, "summary.json"), scan_s, trajectory.duration)
     if (folder / "frames.csv").exists():
         findings += check_frames(folder, record, trajectory, motion.arm)
     if (folder / "trajectory.json").exists():
         findings += _check_twin(read_json(folder, "trajectory.json"), trajectory)
-    if trajectory.duration > record.process.budget_s:
+    if scan_s > record.process.budget_s:
         findings.append(
             Finding(
                 code="budget",
-                message=f"{trajectory.duration:.1f} s is over the budget of {record.process.budget_s:.1f} s",
-                value=trajectory.duration,
+                message=f"{scan_s:.1f} s is over the budget of {record.process.budget_s:.1f} s",
+                value=scan_s,
                 limit=record.process.budget_s,
             )
         )
@@ -65,14 +67,19 @@ def verify(folder: str | Path, *, progress: Callable[[float], None] | None = Non
     return findings
 
 
-def _check_summary(summary: object, duration: float) -> list[Finding]:
+def _check_summary(summary: object, scan: float, cycle: float) -> list[Finding]:
+    """The seconds that summary.json tells: `total` of the scan, `cycle` with the way home."""
     time = summary.get("time_s") if isinstance(summary, dict) else None
-    total = time.get("total") if isinstance(time, dict) else None
-    if isinstance(total, int | float) and abs(total - duration) < 0.02:
-        return []
-    told = f"{total:g} s" if isinstance(total, int | float) else "nothing"
-    text = f"summary.json says {told} of the total time, the trajectory lasts {duration:.2f} s"
-    return [Finding(code="summary", message=text, value=duration, limit=duration)]
+    found = []
+    for key, seconds in (("total", scan), ("cycle", cycle)):
+        told = time.get(key, seconds if key == "cycle" else None) if isinstance(time, dict) else None
+        if isinstance(told, int | float) and abs(told - seconds) < 0.02:
+            continue
+        said = f"{told:g} s" if isinstance(told, int | float) else "nothing"
+        what = "the scan lasts" if key == "total" else "the trajectory lasts"
+        text = f"summary.json says {said} of the {key} time, {what} {seconds:.2f} s"
+        found.append(Finding(code="summary", message=text, value=seconds, limit=seconds))
+    return found
 
 
 def _check_twin(data: object, trajectory: Trajectory) -> list[Finding]:

@@ -9,7 +9,8 @@ import numpy as np
 from scanmotion.core.finding import Finding
 from scanmotion.core.trajectory import SCANNING, Trajectory
 from scanmotion.judge.motion import UrdfArm, motion_at
-from scanmotion.plan_io.schema import PlanRecord, read_text
+from scanmotion.plan_io.read import read_text
+from scanmotion.plan_io.schema import PlanRecord
 
 _Q_DEG, _PLACE_MM = 0.01, 0.01
 

@@ -11,7 +11,8 @@ from defusedxml.ElementTree import fromstring
 
 from scanmotion.core.errors import PlanFileError
 from scanmotion.core.trajectory import Trajectory
-from scanmotion.plan_io.schema import PlanRecord, read_text
+from scanmotion.plan_io.read import read_text
+from scanmotion.plan_io.schema import PlanRecord
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -214,10 +215,17 @@ def exponentials(screw: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 def motion_from(folder: Path, record: PlanRecord, trajectory: Trajectory) -> Motion:
     """Poses of everything at each sample."""
-    arm = arm_from_urdf(
-        read_text(folder, record.urdf_file, limit=8 << 20), record.robot_joints, record.flange_link
-    )
-    return motion_at(arm, record, trajectory.t, trajectory.q)
+    return motion_at(arm_of(folder, record), record, trajectory.t, trajectory.q)
+
+
+def arm_of(folder: Path, record: PlanRecord) -> UrdfArm:
+    """The arm of the plan's own URDF.
+
+    Raises:
+        PlanFileError: it cannot be read.
+    """
+    text = read_text(folder, record.urdf_file, limit=8 << 20)
+    return arm_from_urdf(text, record.robot_joints, record.flange_link)
 
 
 def motion_at(arm: UrdfArm, record: PlanRecord, t: np.ndarray, q: np.ndarray) -> Motion:

@@ -12,7 +12,8 @@ from scanmotion.core.errors import PartError, PlanFileError
 from scanmotion.geometry.collada import triangles_of_collada
 from scanmotion.geometry.part_files import read_geometry
 from scanmotion.judge.motion import Motion, UrdfArm, motion_at
-from scanmotion.plan_io.schema import PlanRecord, inside
+from scanmotion.plan_io.read import inside
+from scanmotion.plan_io.schema import PlanRecord
 
 TOOL, STILL, PART = 7, -1, -2
 """Groups beside the links 0..6."""

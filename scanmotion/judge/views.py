@@ -42,6 +42,12 @@ def check_operations(record: PlanRecord, trajectory: Trajectory) -> list[Finding
         k = int(wrong[0])
         text = f"the sample at {trajectory.t[k]:.2f} s is not in operation {trajectory.operation[k]}'s time"
         findings.append(Finding(code="order", message=text, t=float(trajectory.t[k])))
+    last = record.operations[-1] if record.operations else None
+    if last is not None and last.kind == "transit" and not last.viewpoints:
+        away = float(np.abs(np.array(last.q_end) - record.home).max())
+        if away > 1e-5:
+            text = f"the way home ends {np.rad2deg(away):.3f} deg from home"
+            findings.append(Finding(code="order", message=text, value=away, t=last.t_end))
     if abs(at - trajectory.duration) > 1e-3:
         text = f"the operations end at {at:.3f} s, the trajectory at {trajectory.duration:.3f} s"
         findings.append(Finding(code="order", message=text, value=trajectory.duration, limit=at))

@@ -16,6 +16,8 @@ import numpy as np
 from numba import njit
 
 from scanmotion.core.tour import Stop
+from scanmotion.geometry.rest_to_rest import jerk_limited_seconds as jerk_limited_seconds
+from scanmotion.geometry.rest_to_rest import trapezoid_second
 
 if TYPE_CHECKING:
     from scanmotion.cell.build import Cell
@@ -167,17 +169,6 @@ def _times(model: MoveModel, paired: bool, a: Placed, b: Placed) -> np.ndarray:
     )
 
 
-def jerk_limited_seconds(length: np.ndarray | float, v: float, a: float, j: float) -> np.ndarray:
-    """Least time over a length from rest to rest inside velocity, acceleration and jerk, any shape [s]."""
-    length = np.asarray(length, dtype=float)
-    # Greatest velocities of the profile without a velocity limit, with and without constant acceleration.
-    full = a / 2.0 * (np.sqrt((a / j) ** 2 + 4.0 * length / a) - a / j)
-    bent = np.cbrt(length**2 * j / 4.0)
-    peak = np.minimum(np.where(full >= a * a / j, full, bent), v)
-    ramp = np.where(peak >= a * a / j, peak / a + a / j, 2.0 * np.sqrt(peak / j))
-    return 2.0 * ramp + np.maximum(length - peak * ramp, 0.0) / np.maximum(peak, 1e-300)
-
-
 def revolution_seconds(model: MoveModel) -> float:
     """Time of one whole turn of the table [s]."""
     return float(jerk_limited_seconds(2 * np.pi, model.v[6], model.a[6], model.j[6]))
@@ -210,14 +201,6 @@ def path_seconds(model: MoveModel, path: np.ndarray) -> float:
     speed = min(model.scan_speed, float((model.v / rate).min()))
     a, j = float((model.a / rate).min()), float((model.j / rate).min())
     return float(jerk_limited_seconds(length, speed, a, j))
-
-
-@njit(cache=True)
-def _rest_to_rest(length, speed, acceleration):
-    """A trapezoid of velocity, or a triangle."""
-    if length * acceleration >= speed * speed:
-        return length / speed + speed / acceleration
-    return 2.0 * np.sqrt(length / acceleration)
 
 
 @njit(cache=True, nogil=True)
@@ -331,7 +314,7 @@ def _transits(v, a, j, tcp, paired, qa, pa, ca, ba, qb, pb, cb, bb):
             seconds = rate + slow / rate if rate * rate >= slow > 0.0 else 2.0 * np.sqrt(slow)
             turn = abs(qb[m, 6] - qa[n, 6])
             if turn > 0.0:
-                seconds = max(seconds, _rest_to_rest(turn, v[6], a[6]))
+                seconds = max(seconds, trapezoid_second(turn, v[6], a[6]))
             far = max(abs(qb[m, 3] - qa[n, 3]), abs(qb[m, 5] - qa[n, 5])) - _WRIST_RAD
             extra = soft + _WRIST_S_PER_RAD * far if far > 0.0 else soft
             out[n, k] = seconds + extra if seconds > 1e-9 else 0.0

@@ -2,11 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 
 from scanmotion.core.part import Part
+from scanmotion.core.summary import (
+    BeforeAfter,
+    CalibrationSummary,
+    DistanceSummary,
+    RegistrationSummary,
+    SurfaceSummary,
+)
 from scanmotion.geometry.parts import surface_samples
 from scanmotion.sensing.assess import Accuracy, accuracy, distances_to, raycaster
 from scanmotion.sensing.calibration import PARAMETERS, Calibration
@@ -36,7 +42,7 @@ def millimetres(found: Accuracy | None) -> dict[str, float | None]:
     return {f"{n}_mm": None if found is None else round(getattr(found, n) * 1e3, 5) for n in names}
 
 
-def calibration_record(corrections: Corrections | None) -> dict[str, Any] | None:
+def calibration_record(corrections: Corrections | None) -> CalibrationSummary | None:
     """`calibration` of summary.json; None where the plan does not calibrate, or could not."""
     if corrections is None or corrections.calibration is None:
         return None
@@ -44,20 +50,23 @@ def calibration_record(corrections: Corrections | None) -> dict[str, Any] | None
     e = asdict(found.errors)
     values = [*e["hand_eye_m"], *e["hand_eye_rad"], *e["axis_m"], *e["axis_rad"], e["backlash_rad"]]
     values.append(e["latency_s"])
-    return {
-        "applied": corrections.applied,
-        "estimated": constants_by_name(values),
-        "sd": constants_by_name(found.sd),
-        "undetermined": _undetermined(found),
-        "disagreement_mm": {
+    return CalibrationSummary(
+        applied=corrections.applied,
+        estimated=constants_by_name(values),
+        sd=constants_by_name(found.sd),
+        undetermined=_undetermined(found),
+        disagreement_mm={
             "before": round(found.rms_before * 1e3, 5), "after": round(found.rms_after * 1e3, 5),
         },
-        "global_cloud": {"before": millimetres(corrections.before), "after": millimetres(corrections.after)},
-        "statement": found.statement + ("" if corrections.applied else "; nothing is corrected"),
-    }  # fmt: skip
+        global_cloud=BeforeAfter(
+            before=DistanceSummary(**millimetres(corrections.before)),
+            after=DistanceSummary(**millimetres(corrections.after)),
+        ),
+        statement=found.statement + ("" if corrections.applied else "; nothing is corrected"),
+    )  # fmt: skip
 
 
-def constants_by_name(values: Sequence[float] | np.ndarray) -> dict[str, Any]:
+def constants_by_name(values: Sequence[float] | np.ndarray) -> dict[str, list[float] | float]:
     """The unknowns of calibration in the keys of the cell's section `twin`."""
     v = np.asarray(values, float)
     deg, mm = np.rad2deg(v), v * 1e3
@@ -77,28 +86,28 @@ def _undetermined(found: Calibration) -> list[str]:
     return [name for name, known, asked in every if asked and not known]
 
 
-def registration_records(corrections: Corrections | None) -> list[dict[str, Any]]:
+def registration_records(corrections: Corrections | None) -> list[RegistrationSummary]:
     """`registration` of summary.json: one entry for each scan after the first."""
     return [] if corrections is None else [_registration(i, r) for i, r in corrections.registrations]
 
 
-def _registration(index: int, found: Registration) -> dict[str, Any]:
+def _registration(index: int, found: Registration) -> RegistrationSummary:
     sure = np.isfinite(found.uncertainty)
-    return {
-        "round": index + 1,
-        "rms_mm": round(found.rms * 1e3, 5),
-        "fitness": round(found.fitness, 4),
-        "uncertainty_mm": round(found.uncertainty * 1e3, 5) if sure else None,
-        "shift_mm": round(found.shift * 1e3, 5),
-        "turn_deg": round(float(np.rad2deg(found.turn)), 5),
-        "trusted": found.trusted,
-        "statement": found.statement,
-    }
+    return RegistrationSummary(
+        round=index + 1,
+        rms_mm=round(found.rms * 1e3, 5),
+        fitness=round(found.fitness, 4),
+        uncertainty_mm=round(found.uncertainty * 1e3, 5) if sure else None,
+        shift_mm=round(found.shift * 1e3, 5),
+        turn_deg=round(float(np.rad2deg(found.turn)), 5),
+        trusted=bool(found.trusted),
+        statement=found.statement,
+    )
 
 
 def surface_record(
     surface: tuple[np.ndarray, np.ndarray], part: Part, seen_points: np.ndarray | None = None
-) -> dict[str, Any]:
+) -> SurfaceSummary:
     """`surface` of summary.json: the reconstructed surface against the truth, and the truth against it.
 
     Args:
@@ -115,7 +124,8 @@ def surface_record(
             "mean_abs_mm": round(float(d.mean()) * 1e3, 5),
             "p95_abs_mm": round(float(np.percentile(d, 95)) * 1e3, 5),
         }
-    return {**millimetres(accuracy(at, part)), "triangles": len(surface[1]), "from_truth": back or None}
+    told = millimetres(accuracy(at, part))
+    return SurfaceSummary(**told, triangles=len(surface[1]), from_truth=back or None)
 
 
 def scan_files(

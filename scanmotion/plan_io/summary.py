@@ -1,253 +1,135 @@
-"""summary.json, holes.json and scan.npz of a plan's folder, read strictly: pages and reports rely on them.
+"""The summary of a plan: every figure of summary.json from the plan's own values and the judge's findings."""
 
-What a page does not show may be in the files too, and is left as it is.
-"""
-
-import io
-import zipfile
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Annotated, Any, Literal
+from collections.abc import Sequence
+from dataclasses import asdict
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from scanmotion.core.errors import PlanFileError
-from scanmotion.plan_io.schema import inside, read_json
+from scanmotion.cell.collision.last_word import LastWord
+from scanmotion.core.errors import InputError
+from scanmotion.core.finding import Finding
+from scanmotion.core.summary import (
+    AccuracySummary,
+    BudgetSummary,
+    Completeness,
+    DrakeSummary,
+    FormSummary,
+    HelixSummary,
+    LeftOut,
+    PatchSummary,
+    RoundSummary,
+    Summary,
+    TimeSummary,
+    WithinReach,
+)
+from scanmotion.plan_io.measured import (
+    calibration_record,
+    millimetres,
+    registration_records,
+    surface_record,
+)
+from scanmotion.planning.budget import budget_record, coverage_of
+from scanmotion.planning.helices import MOST_LOST, Joining
+from scanmotion.planning.plan import Plan
+from scanmotion.planning.segment import Segment
+from scanmotion.sensing.fusion.surface import surface
 
-_MAX_ARRAYS = 512 << 20
-_MAX_HOLES = 10_000
-
-Real = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
-Triple = Annotated[list[Real], Field(min_length=3, max_length=3)]
-_Row = Annotated[list[Real], Field(min_length=4, max_length=4)]
-Count = Annotated[int, Field(ge=0, le=10**9)]
-
-
-class _Open(BaseModel):
-    model_config = ConfigDict(extra="allow", strict=True)
-
-
-class _LeftOut(_Open):
-    id: str
-    reason: str
-
-
-class _Viewpoints(_Open):
-    global_: Count = Field(alias="global")
-    local: Count
-    unreachable: list[_LeftOut]
-
-
-class _Completeness(_Open):
-    after_global: Real | None
-    final: Real | None
-    final_of_whole: Real | None
+__all__ = ["summary_from", "surface_from"]
 
 
-class _Reach(_Open):
-    share: Real | None
-    scanned: Real | None
-
-
-class _Round(_Open):
-    step: str
-    viewpoints: Count
-    completeness: Real | None
-
-
-class _Patch(_Open):
-    center_mm: Triple
-    area_mm2: Real
-    reason: str
-
-
-class _Accuracy(_Open):
-    mean_abs_mm: Real | None
-    sd_signed_mm: Real | None
-    mean_signed_mm: Real | None
-
-
-class _Time(_Open):
-    total: Real
-    arm: Real
-    table: Real
-    sweep: Real
-    dwell: Real
-    floor: Real
-
-
-class _Cost(_Open):
-    operation: Count
-    kind: str
-    viewpoints: list[str]
-    seconds: Real
-    of_which_way: Real
-    completeness_lost_without: Real | None
-
-
-class _Point(_Open):
-    seconds: Real
-    completeness: Real
-
-
-class _Budget(_Open):
-    limit_s: Real
-    ok: bool
-    costliest: list[_Cost] = []
-    by_order: list[_Point] = []
-    curve: list[_Point] = []
-    advice: list[str] = []
-
-
-class _Helix(_Open):
-    taken: bool
-    note: str
-
-
-class _Read(_Open):
-    file: str
-    format: str
-    points: Count
-    triangles: Count
-    size_mm: Triple
-    units: str
-    units_from: str
-    columns: list[str]
-    bodies: Count
-    specks: Count
-    changes: list[str]
-    warnings: list[str]
-
-
-class _Summary(_Open):
-    viewpoints: _Viewpoints
-    completeness: _Completeness
-    within_reach: _Reach = _Reach(share=None, scanned=None)
-    rounds: list[_Round]
-    searched: list[_Round] = []
-    unscanned: list[_Patch] = []
-    accuracy: _Accuracy
-    time_s: _Time
-    budget: _Budget
-    helix: _Helix | None = None
-    findings: list[str | dict[str, Any]]
-    planning_s: dict[str, Real]
-    read: _Read | None = None
-
-
-class _Hole(_Open):
-    kind: str
-    boundary: list[Triple] = Field(min_length=3, max_length=1_000_000)
-    center: Triple
-    normal: Triple
-    X_OH: Annotated[list[_Row], Field(min_length=4, max_length=4)]
-    extent: Triple
-    perimeter: Real
-    area: Real
-
-
-_ARRAYS = ("boundary", "center", "normal", "X_OH", "extent")
-
-
-class _Holes(_Open):
-    units: Literal["m"] = "m"
-    holes: list[_Hole] = Field(max_length=_MAX_HOLES)
-
-
-def read_summary(folder: Path) -> dict[str, Any]:
-    """summary.json.
-
-    Raises:
-        PlanFileError: it cannot be read, or a key that pages show is missing or of another type.
-    """
-    data = read_json(folder, "summary.json")
-    _check("summary.json", _Summary, data)
-    return data
-
-
-def read_holes(folder: Path) -> Any:
-    """holes.json, with `holes`, `tiny` and `notes`; None where there is none, or no hole in it.
-
-    Raises:
-        PlanFileError: it cannot be read.
-    """
-    if not (folder / "holes.json").exists():
-        return None
-    data = read_json(folder, "holes.json")
-    _check("holes.json", _Holes, data)
-    holes = [
-        SimpleNamespace(**{k: np.array(item[k]) if k in _ARRAYS else item[k] for k in _Hole.model_fields})
-        for item in data["holes"]
-    ]
-    return SimpleNamespace(holes=tuple(holes), tiny=(), notes=()) if holes else None
-
-
-def read_arrays(folder: Path, rounds: int) -> dict[str, np.ndarray]:
-    """Samples, their normals, what can be seen and what each round saw; empty where scan.npz has none.
+def summary_from(plan: Plan, findings: Sequence[Finding]) -> Summary:
+    """What the plan achieves; docs/results.md says what each figure means.
 
     Args:
-        folder: of the plan.
-        rounds: how many rows `seen` must have.
+        plan: as it was made.
+        findings: what the judge says of its files.
+    """
+    served = [v for item in plan.segments for v in item.served]
+    told = {
+        "viewpoints": {
+            "global": sum(v.step == "global" for v in served),
+            "local": sum(v.step == "local" for v in served),
+            "unreachable": [LeftOut(id=name, reason=reason) for name, reason in plan.unreachable],
+            "solvers": plan.solvers,
+        },
+        "completeness": Completeness(**_rounded(plan.completeness())),
+        "within_reach": WithinReach(**_rounded(plan.within_reach())),
+        "rounds": [_round(plan, item) for item in plan.segments],
+        "searched": [_round(plan, item) for item in plan.searched],
+        "unscanned": [
+            PatchSummary(
+                center_mm=[round(float(x) * 1e3, 1) for x in p.center], area_mm2=round(p.area * 1e6, 1),
+                reason=p.reason,
+            )
+            for p in plan.unscanned
+        ],
+        **({} if plan.confidence is None else {"confidence": plan.confidence.record()}),
+        "accuracy": _accuracy(plan),
+        "calibration": calibration_record(plan.corrections),
+        "registration": registration_records(plan.corrections),
+        "time_s": TimeSummary(**{k: round(v, 3) for k, v in plan.time_s().items()}),
+        "budget": budget_from(plan),
+        **({} if plan.joining is None else {"helix": _helix(plan.joining)}),
+        **({"no_way_home": plan.no_way_home} if plan.no_way_home else {}),
+        **({} if plan.motion is None else {"motion": dict(plan.motion)}),
+        **({} if plan.last_word is None else {"drake": _drake(plan.last_word)}),
+        **({} if plan.part.report is None else {"read": plan.part.report.record()}),
+        "findings": [str(f) for f in findings],
+        "planning_s": {k: round(v, 2) for k, v in plan.planning_s.items()},
+    }  # fmt: skip
+    return Summary.model_validate(told)
+
+
+def surface_from(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
+    """The surface reconstructed from the fused cloud: vertices (v, 3) [m] and triangles (t, 3).
 
     Raises:
-        PlanFileError: it cannot be read, or the arrays do not fit one another.
+        InputError: nothing was scanned, or too little.
     """
-    arrays = _arrays(folder, ("samples", "sample_normals", "visible", "seen"))
-    if len(arrays) < 4:
-        return {}
-    n = len(np.atleast_1d(arrays["visible"]))
-    _fits(arrays, {"samples": (n, 3), "sample_normals": (n, 3)}, "f")
-    _fits(arrays, {"visible": (n,), "seen": (rounds, n)}, "b")
-    return arrays
+    if plan.cloud is None:
+        raise InputError("nothing was scanned: there is no surface")
+    return surface(plan.cloud)
 
 
-def read_cloud(folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """The fused cloud of a plan: points and their normals, shape (n, 3) each [m].
-
-    Raises:
-        PlanFileError: it cannot be read, or is missing.
-    """
-    arrays = _arrays(folder, ("cloud", "normals"))
-    if len(arrays) < 2:
-        raise PlanFileError("scan.npz: the measured cloud is missing")
-    n = len(np.atleast_1d(arrays["cloud"]))
-    _fits(arrays, {"cloud": (n, 3), "normals": (n, 3)}, "f")
-    return arrays["cloud"].astype(float), arrays["normals"].astype(float)
+def budget_from(plan: Plan) -> BudgetSummary:
+    """The budget, what uses it up, and what a shorter programme would see."""
+    stops = [stop for item in plan.segments for stop in item.tour.stops]
+    whole, coverage = plan.completeness()["final"], None
+    if plan.trajectory is not None and plan.samples is not None and whole is not None:
+        assert plan.seen is not None
+        coverage = coverage_of(plan.part, plan.cell, plan.trajectory, plan.samples, plan.seen, whole)
+    return budget_record(plan.cell, plan.trajectory, stops, plan.time_s()["floor"], coverage)
 
 
-def _arrays(folder: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Those of the arrays of scan.npz that are there."""
-    if not (folder / "scan.npz").exists():
-        return {}
-    path = inside(folder, "scan.npz")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(i.file_size for i in archive.infolist()) > _MAX_ARRAYS:
-                raise PlanFileError("scan.npz: holds more than a plan's arrays")
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
-            return {name: data[name] for name in names if name in data.files}
-    except PlanFileError:
-        raise
-    except Exception as error:
-        # numpy and zipfile raise a dozen kinds of errors at damaged files, SyntaxError among them.
-        text = " ".join(str(error).split())[:80] or type(error).__name__
-        raise PlanFileError(f"scan.npz: cannot be read ({text})") from None
+def _accuracy(plan: Plan) -> AccuracySummary:
+    """Of the fused cloud, and of the surface where the options ask for it."""
+    told = millimetres(plan.accuracy())
+    if not plan.options.surface or plan.samples is None or plan.seen is None:
+        return AccuracySummary(**told)
+    made = surface_record(surface_from(plan), plan.part, plan.samples.points[plan.seen])
+    return AccuracySummary.model_validate({**told, "surface": made})
 
 
-def _fits(arrays: dict[str, np.ndarray], shapes: dict[str, tuple[int, ...]], kind: str) -> None:
-    for name, shape in shapes.items():
-        array = arrays[name]
-        if array.shape != shape or array.dtype.kind != kind or not np.isfinite(array).all():
-            raise PlanFileError(f"scan.npz: {name} is not what belongs there")
+def _round(plan: Plan, item: Segment) -> RoundSummary:
+    share = None
+    if plan.visible is not None and len(item.seen) == len(plan.visible):
+        share = round(float(item.seen.sum()) / max(int(plan.visible.sum()), 1), 6)
+    return RoundSummary(step=item.step, viewpoints=len(item.served), completeness=share)
 
 
-def _check(name: str, model: type[BaseModel], data: Any) -> None:
-    try:
-        model.model_validate(data)
-    except (ValidationError, RecursionError) as error:
-        text = "is nested too deeply"
-        if isinstance(error, ValidationError):
-            first = error.errors()[0]
-            text = f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}"
-        raise PlanFileError(f"{name}: {' '.join(text.split())[:200]}") from None
+def _helix(joining: Joining) -> HelixSummary:
+    return HelixSummary(
+        taken=joining.taken, still_seconds=joining.still_seconds, most_lost=MOST_LOST,
+        tried=[FormSummary(**asdict(form)) for form in joining.tried], note=joining.note,
+    )  # fmt: skip
+
+
+def _drake(word: LastWord) -> DrakeSummary:
+    return DrakeSummary(
+        checked=word.checked, way_m=round(word.way_m, 3), by_triangles=word.by_triangles,
+        findings=len(word.findings),
+    )  # fmt: skip
+
+
+def _rounded(shares: dict[str, float | None]) -> dict[str, float | None]:
+    return {k: None if v is None else round(v, 6) for k, v in shares.items()}

@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from scanmotion.cell.build import Cell
 from scanmotion.core.part import Part, SurfaceSamples
+from scanmotion.core.summary import BudgetSummary, ByOrder, CostSummary, CurveSummary
 from scanmotion.core.tour import Stop, Tour
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.motion.order.completeness_curve import CurvePoint, completeness_curve
@@ -71,7 +71,7 @@ def coverage_of(
 
 def budget_record(
     cell: Cell, trajectory: Trajectory | None, stops: Sequence[Stop], floor: float, coverage: Coverage | None
-) -> dict[str, Any]:
+) -> BudgetSummary:
     """The `budget` of summary.json: limit, costliest stops, curves of completeness, and advice.
 
     Args:
@@ -83,64 +83,69 @@ def budget_record(
     """
     limit = float(cell.settings.process.budget_s)
     total = 0.0 if trajectory is None else trajectory.duration
-    record: dict[str, Any] = {"limit_s": limit, "ok": bool(total <= limit)}
     costs = _costs(trajectory, coverage)
-    record["costliest"] = sorted(costs, key=lambda c: -c["seconds"])[:COSTLIEST]
-    record["by_order"] = _by_order(trajectory, coverage)
-    record["curve"], record["advice"] = [], []
+    record = BudgetSummary(
+        limit_s=limit, ok=bool(total <= limit), by_order=_by_order(trajectory, coverage), curve=[], advice=[],
+        costliest=sorted(costs, key=lambda c: -c.seconds)[:COSTLIEST],
+    )  # fmt: skip
     if trajectory is None or not stops:
         return record
     model = move_model(cell)
     tour = Tour(start_q=trajectory.q[0], stops=tuple(stops), seconds=total, floor=floor)
     curve = _curve(model, tour, coverage)
-    before: tuple[str, ...] = ()
+    advice = [] if record.ok else _advice(model, tour, curve, limit, floor)
+    return record.model_copy(update={"curve": _curve_summary(curve), "advice": advice})
+
+
+def _curve_summary(curve: Sequence[CurvePoint]) -> list[CurveSummary]:
+    """Each point with what it leaves out beyond the one before."""
+    before = 0
+    found = []
     for point in curve:
-        left_out = point.dropped[len(before) :]
-        record["curve"].append(
-            {
-                "seconds": round(point.seconds, 2), "completeness": round(point.completeness, 6),
-                "left_out": list(left_out),
-            }
+        found.append(
+            CurveSummary(
+                seconds=round(point.seconds, 2), completeness=round(point.completeness, 6),
+                left_out=list(point.dropped[before:]),
+            )
         )  # fmt: skip
-        before = point.dropped
-    if not record["ok"]:
-        record["advice"] = _advice(model, tour, curve, limit, floor)
-    return record
+        before = len(point.dropped)
+    return found
 
 
-def _costs(trajectory: Trajectory | None, coverage: Coverage | None) -> list[dict[str, Any]]:
+def _costs(trajectory: Trajectory | None, coverage: Coverage | None) -> list[CostSummary]:
     """Each scanning operation with the seconds of the way there and its own, and what is lost without it."""
-    found: list[dict[str, Any]] = []
+    found: list[CostSummary] = []
+    scanning = 0 if trajectory is None else sum(o.scanning for o in trajectory.operations)
     way = 0.0
     for o in trajectory.operations if trajectory is not None else ():
         if not o.scanning:
             way += o.t_end - o.t_start
             continue
+        lost = None
+        if coverage is not None:
+            others = coverage.share([k for k in range(scanning) if k != len(found)])
+            lost = round(coverage.whole - others, 6)
         found.append(
-            {
-                "operation": o.index, "kind": o.kind, "viewpoints": list(o.viewpoints),
-                "seconds": round(way + o.t_end - o.t_start, 3), "of_which_way": round(way, 3),
-                "completeness_lost_without": None,
-            }
+            CostSummary(
+                operation=o.index, kind=o.kind, viewpoints=list(o.viewpoints),
+                seconds=round(way + o.t_end - o.t_start, 3), of_which_way=round(way, 3),
+                completeness_lost_without=lost,
+            )
         )  # fmt: skip
         way = 0.0
-    for n, cost in enumerate(found):
-        if coverage is not None:
-            others = coverage.share([k for k in range(len(found)) if k != n])
-            cost["completeness_lost_without"] = round(coverage.whole - others, 6)
     return found
 
 
-def _by_order(trajectory: Trajectory | None, coverage: Coverage | None) -> list[dict[str, Any]]:
+def _by_order(trajectory: Trajectory | None, coverage: Coverage | None) -> list[ByOrder]:
     """Completeness when each scanning operation ends: what a programme that stops there has seen."""
     if trajectory is None or coverage is None:
         return []
     scanning = [o for o in trajectory.operations if o.scanning]
     return [
-        {
-            "operation": o.index, "seconds": round(o.t_end, 2),
-            "completeness": round(coverage.share(range(n + 1)), 6),
-        }
+        ByOrder(
+            operation=o.index, seconds=round(o.t_end, 2),
+            completeness=round(coverage.share(range(n + 1)), 6),
+        )
         for n, o in enumerate(scanning)
     ]  # fmt: skip
 

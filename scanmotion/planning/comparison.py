@@ -6,7 +6,6 @@ compares with need the true mesh; the two-step method needs the bounding box and
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ PAPER_TABLE_3 = {
 }
 """Integrity, accuracy [mm], standard deviation [mm], time [s] as printed in the paper, on its own object."""
 
-VARIANTS: dict[str, dict[str, Any]] = {
+VARIANTS: dict[str, dict[str, str | bool]] = {
     "two-step": {},
     "as-found": {"tidy": False},
     "thorough": {"thorough": True},
@@ -194,7 +193,7 @@ def row_from(found: Sequence[Figures]) -> Row:
         if field.name not in ("variant", "seed"):
             values = np.array([getattr(f, field.name) for f in found], float)
             pairs[field.name] = (float(values.mean()), float(np.ptp(values)) / 2)
-    method = VARIANTS[name].get("strategy", "two-step")
+    method = str(VARIANTS[name].get("strategy", "two-step"))
     theirs = PAPER_TABLE_3[method] if name in PAPER_TABLE_3 or name == "paper-mode" else None
     return Row(variant=name, seeds=tuple(f.seed for f in found), paper=theirs, **pairs)
 
@@ -223,10 +222,10 @@ def markdown(rows: Sequence[Row]) -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def document(part: str, rows: Sequence[Row]) -> dict[str, Any]:
+def document(part: str, rows: Sequence[Row]) -> dict[str, object]:
     """The table for machines; a figure that is not known is null."""
 
-    def known(value: Any) -> Any:
+    def known(value: object) -> object:
         if isinstance(value, tuple):
             return [known(v) for v in value]
         return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -88,6 +88,8 @@ class Method:
     """Least share of the surface that a local viewpoint adds per second [1/s]."""
     prunes: bool = True
     """In the end, what the simulator shows to be worth less than its seconds is left out."""
+    refines: bool = True
+    """The poses of dwells are refined by Drake inside their viewpoints' slack."""
     joins_turns: bool = False
     """Neighbouring turns of the global step may become helices."""
 
@@ -141,7 +143,7 @@ DEFAULT = Method(name="default", global_views=partial(_turns, mode="default"), h
 PAPER = Method(
     name="paper", global_views=partial(_turns, mode="paper"), holes=_paper_holes,
     views_over_holes=partial(_over_holes, mode="paper"), stations=_table_at_zero,
-    order=partial(sequence, mode="paper"), prunes=False,
+    order=partial(sequence, mode="paper"), prunes=False, refines=False,
 )  # fmt: skip
 """The published formulas (doi 10.3390/act14030139): its turns, its four cases, order by distance."""
 

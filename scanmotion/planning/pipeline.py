@@ -6,12 +6,19 @@ and version give the same bytes. Assumes that the part stands in the object fram
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 
 from scanmotion.cell.collision.last_word import last_word
-from scanmotion.cell.settings import CellSettings
+from scanmotion.cell.settings import CellSettings, cell_settings_from
+from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
+from scanmotion.core.trajectory import Trajectory, joined
+from scanmotion.core.viewpoint import Viewpoint
+from scanmotion.geometry.part_objects import part_from
+from scanmotion.motion.order.sequence import sequence
 from scanmotion.motion.reach.find import reachable_mask
 from scanmotion.planning.confidence import Confidence, Prediction, Uncertainty, confidence
 from scanmotion.planning.context import Context, Simulator, context_from
@@ -22,6 +29,7 @@ from scanmotion.planning.plan import Plan
 from scanmotion.planning.prune import prune
 from scanmotion.planning.segment import Progress, silent
 from scanmotion.planning.state import PlanState, begin, extend, visible_from
+from scanmotion.planning.way_home import way_home
 from scanmotion.sensing.assess import accuracy
 from scanmotion.sensing.fusion.fuse import Cloud, fuse
 from scanmotion.sensing.simulator.captures import joined_captures
@@ -34,20 +42,34 @@ _ACCURACY_POINTS = 20_000
 
 
 def plan(
-    part: Part, settings: CellSettings, *, options: PlanOptions | None = None, progress: Progress = silent
+    part: Any,
+    settings: Any = "kr240",
+    *,
+    viewpoints: Sequence[Viewpoint] | None = None,
+    order: Literal["fastest", "given"] = "fastest",
+    options: PlanOptions | None = None,
+    progress: Progress = silent,
 ) -> Plan:
     """Plans the scan of `part` in the cell that `settings` describe.
 
     Args:
-        part: what is scanned; for source "box" the box itself, for source "scan" the measured surface.
-        settings: the cell.
+        part: what is scanned: a Part, or a file of one in mm; for source "box" the box itself, for source
+            "scan" the measured surface.
+        settings: the cell: its settings, the name of a built-in one, a YAML file, or a mapping as in one.
+        viewpoints: your own ones in place of the method's; they go through reach, order, transit, timing and
+            simulation like any other, and no local step follows.
+        order: of your own viewpoints: "fastest", or "given" as they stand.
         options: source, mode, strategy, seed and the simulator's settings.
         progress: told the stage and the share of it that is done.
 
     Raises:
         PartError: the part does not fit the table, or is not what the source needs.
         CellError: an obstacle stands where the table turns.
+        InputError: an argument of another kind, an unknown order, or two viewpoints with one id.
     """
+    part, settings = part_from(part), cell_settings_from(settings)
+    if viewpoints is not None:
+        return _own_views(part, settings, viewpoints, order, options or PlanOptions(), progress)
     ctx = context_from(part, settings, options or PlanOptions(), progress)
     state = begin(ctx)
     if ctx.options.motion == "continuous":
@@ -60,6 +82,43 @@ def plan(
     if ctx.method.takes_local_step and state.cloud is not None:
         state = prune(ctx, before=state, after=local_rounds(ctx, state))
     return plan_from(ctx, state)
+
+
+def _own_views(
+    part: Part,
+    settings: CellSettings,
+    viewpoints: Sequence[Viewpoint],
+    order: str,
+    options: PlanOptions,
+    progress: Progress,
+) -> Plan:
+    """A plan over the user's viewpoints alone."""
+    if order not in ("fastest", "given"):
+        raise InputError(f"order {order!r} is unknown; known: fastest, given")
+    check_viewpoints(viewpoints)
+    ctx = context_from(part, settings, options, progress)
+    if order == "given":
+        ctx = replace(ctx, method=replace(ctx.method, order=partial(sequence, mode="given")))
+    # One step: an order that is given may mix what a method would plan in two.
+    views = tuple(replace(v, step="global") for v in viewpoints)
+    return plan_from(ctx, extend(ctx, begin(ctx), views, step="global", rng=ctx.rng(2)))
+
+
+def check_viewpoints(viewpoints: Sequence[Viewpoint]) -> None:
+    """Refuses what are not viewpoints, none, or two with one id.
+
+    Raises:
+        InputError: with the first that is wrong.
+    """
+    for item in viewpoints:
+        if not isinstance(item, Viewpoint):
+            raise InputError(f"viewpoints: a {type(item).__name__} is no Viewpoint")
+    ids = [v.id for v in viewpoints]
+    if not ids:
+        raise InputError("viewpoints: there is none")
+    twice = next((v for v in ids if ids.count(v) > 1), None)
+    if twice is not None:
+        raise InputError(f"viewpoints: the id {twice!r} is there twice")
 
 
 def global_step(ctx: Context, state: PlanState) -> PlanState:
@@ -139,11 +198,15 @@ def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, s
         left_out: further viewpoints that are not planned: (id, reason).
     """
     found = diagnose(ctx, state)
-    word = None
+    home: Trajectory | None = None
+    note, word = "", None
     if state.trajectory is not None:
+        with ctx.watch("motion"):
+            home, note = way_home(ctx.cell, ctx.clearance, state.trajectory.q[-1], rng=ctx.rng(90))
         with ctx.watch("last word"):
             ctx.progress("last word", 0.0)
-            word = last_word(ctx.cell, state.trajectory)
+            cycle = state.trajectory if home is None else joined(state.trajectory, home)
+            word = last_word(ctx.cell, cycle)
     sure = None
     if ctx.simulator is not None and state.trajectory is not None and found.cloud is not None:
         with ctx.watch("confidence"):
@@ -158,5 +221,5 @@ def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, s
         dropped=(*state.dropped, *left_out), unscanned=found.unscanned,
         scans=state.scans if ctx.options.keep_scans else (),
         corrections=state.corrections, joining=state.joining, motion=state.motion, last_word=word,
-        planning_s=ctx.watch.seconds(),
+        planning_s=ctx.watch.seconds(), way_home=home, no_way_home=note,
     )  # fmt: skip

@@ -1,27 +1,25 @@
-"""Re-planning: what has been executed stays as it is, the rest is planned from where the robot stands."""
+"""Re-planning: what has been executed stays as it is, the rest extends the state where the robot stands.
+
+Guarantees: the executed operations are kept sample by sample. Assumes that the robot stands at rest where the
+last executed operation ends.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from scanmotion.core.errors import InputError
-from scanmotion.core.tour import Stop, Tour
-from scanmotion.core.trajectory import Operation, Trajectory
+from scanmotion.core.trajectory import Operation, Trajectory, piece
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.motion.order.lower_bound import floor_seconds
 from scanmotion.motion.transit_cost import move_model
-from scanmotion.plan_io.load import LoadedPlan, load_plan
-from scanmotion.plan_io.summary import read_cloud
 from scanmotion.planning.context import Context, context_from
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.pipeline import plan_from
 from scanmotion.planning.plan import Plan
-from scanmotion.planning.segment import Progress, Segment, served_at, silent
+from scanmotion.planning.segment import Progress, Segment, segment_from_operations, served_at, silent
 from scanmotion.planning.state import PlanState, begin, extend, with_segment
-from scanmotion.sensing.fusion.fuse import Cloud
 
 __all__ = ["replan"]
 
@@ -29,7 +27,7 @@ FAILED = "failed when it was executed"
 
 
 def replan(
-    folder: str | Path,
+    old: Plan,
     *,
     done: str = "",
     failed: Sequence[str] = (),
@@ -43,7 +41,7 @@ def replan(
     operation ends: those of the global step, then those of the local one. No new viewpoints are sought.
 
     Args:
-        folder: the earlier plan.
+        old: the earlier plan, as it was loaded from its folder.
         done: the id of a viewpoint or the index of an operation: all up to the end of the last operation that
             serves it has been executed. "" where nothing has.
         failed: ids of viewpoints that are left out.
@@ -52,14 +50,15 @@ def replan(
         progress: told the stage and the share done.
 
     Raises:
-        PlanFileError: the folder cannot be read.
         InputError: `done` or `failed` name nothing of the plan, a failed viewpoint has been served, or a
             continuous motion has not been executed to its end.
     """
-    old = load_plan(folder)
-    last = last_operation(old.trajectory.operations, done)
-    _check_whole(old.trajectory.operations, last, done)
-    finished = old.trajectory.operations[: last + 1]
+    whole = old.trajectory
+    if whole is None:
+        raise InputError("the earlier plan has no trajectory")
+    last = last_operation(whole.operations, done)
+    _check_whole(whole.operations, last, done)
+    finished = whole.operations[: last + 1]
     served = {v for o in finished if o.scanning for v in o.viewpoints}
     views = {v.id: v for v in old.viewpoints}
     _check_failed(failed, views, finished)
@@ -67,12 +66,18 @@ def replan(
     if budget_s is not None:
         process = settings.process.model_copy(update={"budget_s": budget_s})
         settings = settings.model_copy(update={"process": process})
-    same: dict[str, Any] = {k: getattr(old.record, k) for k in ("source", "mode", "strategy", "seed")}
-    ctx = context_from(old.part, settings, replace(options or PlanOptions(), **same), progress)
+    of_old = old.options
+    told = replace(
+        options or PlanOptions(), source=of_old.source, mode=of_old.mode, strategy=of_old.strategy,
+        seed=of_old.seed,
+    )  # fmt: skip
+    ctx = context_from(old.part, settings, told, progress)
     state = begin(ctx)
     if ctx.measured is not None:
-        state = replace(state, cloud=_cloud(Path(folder)))
-    state = _with_executed(ctx, state, old, finished, views)
+        if old.cloud is None:
+            raise InputError("the earlier plan has lost its measured cloud")
+        state = replace(state, cloud=old.cloud)
+    state = _with_executed(ctx, state, whole, finished, views)
     given_up = dict(old.unreachable) | dict.fromkeys(failed, FAILED)
     for step in ("global", "local"):
         rest = [v for v in old.viewpoints if v.step == step and v.id not in served and v.id not in given_up]
@@ -80,7 +85,7 @@ def replan(
             rng = np.random.default_rng([ctx.options.seed, len(served), len(state.segments)])
             state = extend(ctx, state, rest, step=step, rng=rng)
     if not state.segments:
-        raise InputError(f"{folder}: no viewpoint is left to plan")
+        raise InputError("no viewpoint is left to plan")
     lost = [v for v in old.viewpoints if v.id in given_up]
     last = _with_lost(state.segments[-1], lost, given_up)
     state = replace(state, segments=(*state.segments[:-1], last), holes=old.holes)
@@ -133,7 +138,7 @@ def _check_failed(failed: Sequence[str], views: dict[str, Viewpoint], finished: 
 def _with_executed(
     ctx: Context,
     state: PlanState,
-    old: LoadedPlan,
+    whole: Trajectory,
     finished: Sequence[Operation],
     views: dict[str, Viewpoint],
 ) -> PlanState:
@@ -144,47 +149,17 @@ def _with_executed(
         last = first
         while last + 1 < len(finished) and steps[last + 1] == steps[first]:
             last += 1
-        segment = _executed(ctx, _piece(old.trajectory, first, last), views, steps[first])
+        segment = _executed(ctx, piece(whole, first, last), views, steps[first])
         state = with_segment(ctx, state, segment, np.random.default_rng([ctx.options.seed, first, last]))
         first = last + 1
     return state
 
 
-def _piece(whole: Trajectory, first: int, last: int) -> Trajectory:
-    """The operations first..last by themselves, from time 0."""
-    rows = np.flatnonzero((whole.operation >= first) & (whole.operation <= last))
-    # A shared instant belongs to the earlier operation.
-    begin = rows[0] if first == 0 else rows[0] - 1
-    span = slice(begin, rows[-1] + 1)
-    t0 = whole.operations[first].t_start
-    operations = tuple(
-        replace(o, index=o.index - first, t_start=o.t_start - t0, t_end=o.t_end - t0)
-        for o in whole.operations[first : last + 1]
-    )
-    return Trajectory(
-        t=whole.t[span] - whole.t[begin], q=whole.q[span], qd=whole.qd[span], qdd=whole.qdd[span],
-        operation=np.maximum(whole.operation[span] - first, 0), operations=operations,
-    )  # fmt: skip
-
-
-def _executed(ctx: Context, piece: Trajectory, views: dict[str, Viewpoint], step: str) -> Segment:
-    """The segment that a piece of trajectory has served."""
-    stops = []
-    for o in piece.operations:
-        if o.scanning:
-            path = piece.q[piece.operation == o.index] if o.kind == "sweep" else None
-            kind: Any = o.kind
-            stops.append(Stop(viewpoints=o.viewpoints, kind=kind, q_in=o.q_start, q_out=o.q_end, path=path))
-    served = {v: s.q_in for s in stops for v in s.viewpoints}
-    model = move_model(ctx.cell)
-    tour = Tour(
-        start_q=piece.q[0], stops=tuple(stops), seconds=piece.duration,
-        floor=floor_seconds(ctx.cell, model, piece.q[0], stops, views),
-    )  # fmt: skip
-    return Segment(
-        step=step, reaches=tuple(served_at(views[v], q[None]) for v, q in served.items()), tour=tour,
-        paths=(), trajectory=piece, unreachable=(), seen=np.zeros(0, bool),
-    )  # fmt: skip
+def _executed(ctx: Context, part: Trajectory, views: dict[str, Viewpoint], step: str) -> Segment:
+    """The segment that a piece of trajectory has served, with its lower bound."""
+    found = segment_from_operations(part, views, step=step, floor=0.0)
+    floor = floor_seconds(ctx.cell, move_model(ctx.cell), part.q[0], found.tour.stops, views)
+    return replace(found, tour=replace(found.tour, floor=floor))
 
 
 def _with_lost(segment: Segment, lost: Sequence[Viewpoint], reasons: dict[str, str]) -> Segment:
@@ -194,11 +169,3 @@ def _with_lost(segment: Segment, lost: Sequence[Viewpoint], reasons: dict[str, s
         reaches=segment.reaches + tuple(served_at(v, np.zeros((0, 7))) for v in lost),
         unreachable=segment.unreachable + tuple((v.id, reasons[v.id]) for v in lost),
     )
-
-
-def _cloud(folder: Path) -> Cloud:
-    """The measured cloud that the earlier plan began with."""
-    points, normals = read_cloud(folder)
-    return Cloud(
-        points=points, normals=normals, view_directions=normals, counts=np.ones(len(points), np.int64)
-    )  # fmt: skip

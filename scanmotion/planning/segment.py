@@ -12,10 +12,11 @@ import numpy as np
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.core.errors import PathError
-from scanmotion.core.tour import Path, Tour
+from scanmotion.core.tour import Path, Stop, Tour
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.motion.reach.find import Reach, reach
+from scanmotion.motion.refine import REFINED, refined
 from scanmotion.motion.timing.operations import time_plan
 from scanmotion.motion.transit.plan import transits
 from scanmotion.motion.transit_cost import move_matrix, move_model
@@ -47,12 +48,21 @@ class Segment:
     """(id, reason), in the order of the viewpoints."""
     seen: np.ndarray
     """Which surface samples had been seen by then, shape (n,) bool; empty where nothing is simulated."""
+    refined: frozenset[str] = frozenset()
+    """Ids of the viewpoints whose pose Drake refined inside the slack."""
 
     @property
     def served(self) -> tuple[Viewpoint, ...]:
         """The viewpoints that the trajectory visits, in the order asked for."""
         ids = {v for stop in self.tour.stops for v in stop.viewpoints}
         return tuple(r.viewpoint for r in self.reaches if r.viewpoint.id in ids)
+
+    @property
+    def solvers(self) -> dict[str, str]:
+        """Which solver found the pose of each viewpoint that is served, by id."""
+        ids = {v for stop in self.tour.stops for v in stop.viewpoints}
+        found = {r.viewpoint.id: r.solver for r in self.reaches if r.viewpoint.id in ids}
+        return {v: REFINED if v in self.refined else solver for v, solver in found.items()}
 
 
 def segment_from(
@@ -113,10 +123,19 @@ def segment_from(
         if not dear:
             break
         reasons.update(dear)
+    taken: frozenset[str] = frozenset()
+    if method.refines and trajectory is not None:
+        progress("refine", 0.0)
+        views = {r.viewpoint.id: r.viewpoint for r in reaches}
+        better = refined(cell, clearance, tour, paths, views, rng=rng)
+        if better.viewpoints:
+            tour, paths, taken = better.tour, better.paths, better.viewpoints
+            trajectory = time_plan(cell, tour, paths)
     order = [r.viewpoint.id for r in reaches]
     return Segment(
         step=step, reaches=tuple(reaches), tour=tour, paths=paths, trajectory=trajectory,
         unreachable=tuple((v, reasons[v]) for v in order if v in reasons), seen=np.zeros(0, bool),
+        refined=taken,
     )  # fmt: skip
 
 
@@ -190,3 +209,31 @@ def served_at(viewpoint: Viewpoint, q: np.ndarray) -> Reach:
 def renamed(viewpoints: Sequence[Viewpoint], prefix: str) -> tuple[Viewpoint, ...]:
     """The same viewpoints with `prefix` before their ids and sweeps, so that rounds do not collide."""
     return tuple(replace(v, id=prefix + v.id, sweep=prefix + v.sweep if v.sweep else "") for v in viewpoints)
+
+
+def segment_from_operations(
+    trajectory: Trajectory, views: Mapping[str, Viewpoint], *, step: str, floor: float
+) -> Segment:
+    """The segment that a trajectory has served: executed, or read from a file.
+
+    Args:
+        trajectory: from time 0.
+        views: by id, those that it serves and maybe others.
+        step: "global" or "local".
+        floor: proven lower bound of its duration [s].
+    """
+    stops: list[Stop] = []
+    for o in trajectory.operations:
+        if o.kind == "transit":
+            continue
+        path = trajectory.q[trajectory.operation == o.index] if o.kind == "sweep" else None
+        stops.append(Stop(viewpoints=o.viewpoints, kind=o.kind, q_in=o.q_start, q_out=o.q_end, path=path))
+    served = {v: s.q_in for s in stops for v in s.viewpoints}
+    tour = Tour(
+        start_q=trajectory.q[0], stops=tuple(stops), seconds=trajectory.duration, floor=floor
+    )  # fmt: skip
+    reaches = tuple(served_at(views[v], q[None]) for v, q in served.items())
+    return Segment(
+        step=step, reaches=reaches, tour=tour, paths=(),
+        trajectory=trajectory, unreachable=(), seen=np.zeros(0, bool),
+    )  # fmt: skip

@@ -5,14 +5,19 @@ import io
 import json
 import platform
 import re
+from collections.abc import Sequence
 from html import escape
 from importlib import metadata
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from scanmotion import __version__
 from scanmotion.cell.kinematics import scanner_poses
+from scanmotion.core.errors import InputError
+from scanmotion.core.summary import BudgetSummary, MotionSummary, Summary
+from scanmotion.planning.plan import Plan
 from scanmotion.report.figures.charts import curve_figure, joint_figure, tcp_figure, time_figure
 from scanmotion.report.figures.maps import cell_figure, coverage_figure, hole_figure, reach_figure
+from scanmotion.views.unscanned import Patch
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,18 +50,23 @@ _POSITION = re.compile(r"([-+]?[0-9.]+ *){3}")
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
-def report_html(plan: Any) -> str:
+def report_html(plan: Plan) -> str:
     """The report of a plan, made just now or loaded from its folder.
 
     Args:
-        plan: a Plan with its summary.
+        plan: with its summary, as saving and loading give it.
+
+    Raises:
+        InputError: the plan has not been judged.
     """
     summary = plan.summary
-    sections = [_head(plan, summary), _numbers(summary), _coverage(plan), _holes(plan)]
+    if summary is None:
+        raise InputError("this plan has not been judged: save it, then report what is loaded")
+    sections = [_head(plan, summary), _numbers(summary), _coverage(plan, summary), _holes(plan)]
     sections += [
         _viewpoints(plan, summary),
         _motion(plan, summary),
-        _budget(summary["budget"]),
+        _budget(summary.budget),
         _findings(summary),
         _read(summary),
         _settings(plan, summary),
@@ -79,10 +89,10 @@ def page(title: str, body: str) -> str:
     )
 
 
-def table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
+def table(header: tuple[str, ...], rows: Sequence[tuple[object, ...]]) -> str:
     """An HTML table; every cell is escaped, numbers under a header stand to the right."""
 
-    def cell(value: Any) -> str:
+    def cell(value: object) -> str:
         text = str(value)
         number = header and re.fullmatch(r"[-+]?[0-9.]+%?", text)
         kind = ' class="n"' if number else ' class="w"' if _POSITION.fullmatch(text) else ""
@@ -106,8 +116,8 @@ def _section(title: str, *parts: str) -> str:
     return f"<h2>{escape(title)}</h2>\n" + "\n".join(parts)
 
 
-def _head(plan: Any, summary: dict[str, Any]) -> str:
-    findings, late = len(summary["findings"]), not summary["budget"]["ok"]
+def _head(plan: Plan, summary: Summary) -> str:
+    findings, late = len(summary.findings), not summary.budget.ok
     if findings or late:
         reasons = [f"{findings} finding{'s' * (findings > 1)}"] * bool(findings) + ["over its budget"] * late
         verdict = f'<p class="bad"><b>Do not run:</b> {escape(", ".join(reasons))}.</p>'
@@ -121,8 +131,8 @@ def _head(plan: Any, summary: dict[str, Any]) -> str:
     return f"<h1>Scan plan: {escape(plan.part.name)}</h1>\n<p>{escape(told)}</p>\n{verdict}"
 
 
-def _numbers(summary: dict[str, Any]) -> str:
-    done, exact, time = summary["completeness"], summary["accuracy"], summary["time_s"]
+def _numbers(summary: Summary) -> str:
+    done, exact, time = summary.completeness, summary.accuracy, summary.time_s
 
     def share(value: float | None) -> str:
         return "not known" if value is None else f"{value:.2%}"
@@ -130,33 +140,32 @@ def _numbers(summary: dict[str, Any]) -> str:
     def mm(value: float | None) -> str:
         return "not known" if value is None else f"{value:.3f} mm"
 
-    budget, reach = summary["budget"], summary.get("within_reach") or {}
-    within = "inside" if budget["ok"] else "OVER"
-    left_out = len(summary["viewpoints"]["unreachable"])
+    budget, reach = summary.budget, summary.within_reach
+    within = "inside" if budget.ok else "OVER"
+    left_out = len(summary.viewpoints.unreachable)
     rows = [
-        ("scanned, of what can be seen", share(done["final"])),
-        ("of which after the global step", share(done["after_global"])),
-        ("scanned, of the whole surface", share(done["final_of_whole"])),
-        ("accuracy: mean of the absolute distance", mm(exact["mean_abs_mm"])),
-        ("standard deviation of the signed distance", mm(exact["sd_signed_mm"])),
-        ("mean of the signed distance", mm(exact["mean_signed_mm"])),
-        ("total time", f"{time['total']:.1f} s ({within} the budget of {budget['limit_s']:.1f} s)"),
-        ("proven floor for the same viewpoints", f"{time['floor']:.1f} s"),
-        ("viewpoints", f"{summary['viewpoints']['global']} global, {summary['viewpoints']['local']} local"),
+        ("scanned, of what can be seen", share(done.final)),
+        ("of which after the global step", share(done.after_global)),
+        ("scanned, of the whole surface", share(done.final_of_whole)),
+        ("accuracy: mean of the absolute distance", mm(exact.mean_abs_mm)),
+        ("standard deviation of the signed distance", mm(exact.sd_signed_mm)),
+        ("mean of the signed distance", mm(exact.mean_signed_mm)),
+        ("total time", f"{time.total:.1f} s ({within} the budget of {budget.limit_s:.1f} s)"),
+        ("proven floor for the same viewpoints", f"{time.floor:.1f} s"),
+        ("viewpoints", f"{summary.viewpoints.global_} global, {summary.viewpoints.local} local"),
         ("left out", f"{left_out}"),
     ]
-    if summary.get("confidence"):
-        rows.insert(
-            1, ("how sure, under the uncertainty stated in the settings", summary["confidence"]["statement"])
-        )
-    if "helix" in summary:
-        rows.append(("turns of the global step", summary["helix"]["note"]))
-    if "motion" in summary:
-        rows += _motion_rows(summary["motion"])
-    if done["final"] is None:
+    if summary.confidence is not None:
+        sure = summary.confidence.statement
+        rows.insert(1, ("how sure, under the uncertainty stated in the settings", sure))
+    if summary.helix is not None:
+        rows.append(("turns of the global step", summary.helix.note))
+    if summary.motion is not None:
+        rows += _motion_rows(summary.motion)
+    if done.final is None:
         return table((), rows)
-    if reach.get("scanned") is not None:
-        told = f"{share(reach['scanned'])} ({share(reach['share'])} of what can be seen is within reach)"
+    if reach.scanned is not None:
+        told = f"{share(reach.scanned)} ({share(reach.share)} of what can be seen is within reach)"
         rows.insert(2, ("scanned, of what this robot's scanner can be brought to see", told))
     # A conservator decides by these numbers: what they are has to stand beside them.
     return table((), rows) + (
@@ -165,43 +174,43 @@ def _numbers(summary: dict[str, Any]) -> str:
     )
 
 
-def _motion_rows(motion: dict[str, Any]) -> list[tuple[str, str]]:
+def _motion_rows(motion: MotionSummary) -> list[tuple[str, str]]:
     """What came of the continuous motion, and what other ones that were found take and see."""
-    curve = ", ".join(f"{p['completeness']:.2%} in {p['seconds']:.1f} s" for p in motion.get("curve", ()))
-    rows = [("motion", motion["note"])]
-    return rows + ([("completeness against seconds", curve)] if len(motion.get("curve", ())) > 1 else [])
+    curve = ", ".join(f"{p.completeness:.2%} in {p.seconds:.1f} s" for p in motion.curve)
+    rows = [("motion", motion.note)]
+    return rows + ([("completeness against seconds", curve)] if len(motion.curve) > 1 else [])
 
 
-def _coverage(plan: Any) -> str:
+def _coverage(plan: Plan, summary: Summary) -> str:
     if plan.samples is None or plan.visible is None:
         return _section(
             "Coverage", '<p class="note">No mesh of the part is known: nothing can be predicted.</p>'
         )
     parts = [image(coverage_figure(plan), "coverage after the global step and at the end")]
-    parts += _rounds(plan.summary)
+    parts += _rounds(summary)
     if plan.unscanned:
         parts += _unscanned(plan.unscanned)
     return _section("Coverage", *parts)
 
 
-def _rounds(summary: dict[str, Any]) -> list[str]:
+def _rounds(summary: Summary) -> list[str]:
     """What each round added."""
     rows, before = [], None
-    searched = summary.get("searched") or ()
-    found = [*searched, *summary.get("rounds", ())[-1:]] if searched else summary.get("rounds", ())
+    searched = summary.searched
+    found = [*searched, *summary.rounds[-1:]] if searched else summary.rounds
     for number, item in enumerate(found, start=1):
-        done = item["completeness"]
+        done = item.completeness
         gain = "" if done is None or before is None else f"{done - before:+.2%}"
         share = "not known" if done is None else f"{done:.2%}"
         last = bool(searched) and number == len(found)
-        step = "kept: worth their seconds, as one tour" if last else item["step"]
-        rows.append((number, step, item["viewpoints"], share, gain))
+        step = "kept: worth their seconds, as one tour" if last else item.step
+        rows.append((number, step, item.viewpoints, share, gain))
         before = done
     header = ("round", "step", "viewpoints served", "scanned, of what can be seen", "added")
     return [table(header, rows)] if rows else []
 
 
-def _unscanned(patches: Any) -> list[str]:
+def _unscanned(patches: Sequence[Patch]) -> list[str]:
     """Patches that stay unscanned: by reason, and one by one from the largest."""
     areas: dict[str, list[float]] = {}
     for patch in patches:
@@ -220,7 +229,7 @@ def _unscanned(patches: Any) -> list[str]:
     ]
 
 
-def _holes(plan: Any) -> str:
+def _holes(plan: Plan) -> str:
     report = plan.holes
     if report is None:
         return ""
@@ -237,27 +246,30 @@ def _holes(plan: Any) -> str:
     )
 
 
-def _viewpoints(plan: Any, summary: dict[str, Any]) -> str:
+def _viewpoints(plan: Plan, summary: Summary) -> str:
     served: dict[str, str] = {}
     for operation in plan.trajectory.operations if plan.trajectory is not None else ():
         if operation.scanning:
             for view in operation.viewpoints:
                 served.setdefault(view, f"{operation.kind} at {operation.t_start:.1f} s")
-    lost = {u["id"]: u["reason"] for u in summary["viewpoints"]["unreachable"]}
+    lost = {u.id: u.reason for u in summary.viewpoints.unreachable}
     rows = []
     for view in plan.viewpoints:
         place = "  ".join(f"{v * 1e3:.0f}" for v in view.p_OS)
         aim = "  ".join(f"{v:+.2f}" for v in view.direction)
-        outcome = served.get(view.id) or lost.get(view.id, "")
-        rows.append((view.id, view.step, place, aim, round(view.standoff * 1e3), outcome, view.note))
+        outcome, by = (
+            served.get(view.id) or lost.get(view.id, ""),
+            summary.viewpoints.solvers.get(view.id, ""),
+        )
+        rows.append((view.id, view.step, place, aim, round(view.standoff * 1e3), outcome, by, view.note))
     known = {view.id for view in plan.viewpoints}
-    rows += [(i, "global", "", "", "", why, "") for i, why in lost.items() if i not in known]
-    header = ("viewpoint", "step", "x y z mm", "looks along", "standoff mm", "served by, or why not", "note")
+    rows += [(i, "global", "", "", "", why, "", "") for i, why in lost.items() if i not in known]
+    header = ("viewpoint", "step", "x y z mm", "looks along", "standoff mm", "served by, or why not")
     picture = image(reach_figure(plan), "viewpoints round the part") if plan.viewpoints else ""
-    return _section("Viewpoints and reach", picture, table(header, rows))
+    return _section("Viewpoints and reach", picture, table((*header, "pose by", "note"), rows))
 
 
-def _motion(plan: Any, summary: dict[str, Any]) -> str:
+def _motion(plan: Plan, summary: Summary) -> str:
     if plan.trajectory is None:
         return _section("Motion", "<p>No viewpoint could be served.</p>")
     trajectory, process = plan.trajectory, plan.cell.settings.process
@@ -269,59 +281,57 @@ def _motion(plan: Any, summary: dict[str, Any]) -> str:
     fastest = max(process.scan_speed_m_s, process.transit_speed_m_s)
     return _section(
         "Motion",
-        image(time_figure(summary["time_s"], summary["budget"]["limit_s"]), "where the seconds go"),
-        image(cell_figure(plan, X_WS), "the scanner's way in the cell"),
+        image(time_figure(plan.time_s(), summary.budget.limit_s), "where the seconds go"),
+        image(cell_figure(plan.cell, trajectory, X_WS), "the scanner's way in the cell"),
         image(tcp_figure(trajectory, X_WS[:, :3, 3], fastest), "speed of the scanner"),
         image(joint_figure(trajectory, plan.cell), "joints over time"),
         table(("operation", "kind", "viewpoints", "starts s", "takes s"), rows),
     )
 
 
-def _budget(budget: dict[str, Any]) -> str:
+def _budget(budget: BudgetSummary) -> str:
     """What costs most, what a shorter programme would see, what would bring it inside its budget."""
     parts = []
-    if budget.get("advice"):
-        items = "".join(f"<li>{escape(line)}</li>" for line in budget["advice"])
+    if budget.advice:
+        items = "".join(f"<li>{escape(line)}</li>" for line in budget.advice)
         parts.append(f'<p class="bad">Over the budget. What would help:</p><ul>{items}</ul>')
-    if budget.get("curve") and budget.get("by_order"):
+    if budget.curve and budget.by_order:
         parts.append(image(curve_figure(budget), "completeness against seconds"))
     rows = []
-    for cost in budget.get("costliest", ()):
-        lost = cost["completeness_lost_without"]
+    for cost in budget.costliest:
+        lost = cost.completeness_lost_without
         told = "not known" if lost is None else f"{lost:.3%}"
-        views = " ".join(cost["viewpoints"])
-        rows.append((cost["operation"], cost["kind"], views, cost["seconds"], cost["of_which_way"], told))
+        views = " ".join(cost.viewpoints)
+        rows.append((cost.operation, cost.kind, views, cost.seconds, cost.of_which_way, told))
     if rows:
         header = ("operation", "kind", "viewpoints", "seconds", "of which the way", "lost without it")
         parts += ["<p>The costliest stops:</p>", table(header, rows)]
     return _section("Budget", *parts) if parts else ""
 
 
-def _findings(summary: dict[str, Any]) -> str:
-    found = summary["findings"]
-    if not found:
+def _findings(summary: Summary) -> str:
+    if not summary.findings:
         return _section("Findings of the independent judge", '<p class="ok">None.</p>')
-    lines = (f.get("message") or json.dumps(f) if isinstance(f, dict) else str(f) for f in found)
-    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+    items = "".join(f"<li>{escape(line)}</li>" for line in summary.finding_lines)
     return _section("Findings of the independent judge", f'<ul class="bad">{items}</ul>')
 
 
-def _read(summary: dict[str, Any]) -> str:
+def _read(summary: Summary) -> str:
     """What was read from the part's file, and what was changed; nothing for a box or the built-in part."""
-    read = summary.get("read")
+    read = summary.read
     if read is None:
         return ""
-    size = " x ".join(f"{float(side):.4g}" for side in read["size_mm"])
-    what = f"{read['triangles']} triangles" if read["triangles"] else f"{read['points']} points"
-    rows = [("file", f"{read['file']}, {read['format']}"), ("holds", f"{what}, {size} mm")]
-    rows.append(("unit", f"{read['units']}, {read['units_from']}"))
-    rows.append(("bodies", f"{read['bodies']}; {read['specks']} specks were left out"))
-    rows += [("taken", text) for text in read["columns"]]
-    rows += [("changed", text) for text in read["changes"]] + [("note", text) for text in read["warnings"]]
+    size = " x ".join(f"{side:.4g}" for side in read.size_mm)
+    what = f"{read.triangles} triangles" if read.triangles else f"{read.points} points"
+    rows = [("file", f"{read.file}, {read.format}"), ("holds", f"{what}, {size} mm")]
+    rows.append(("unit", f"{read.units}, {read.units_from}"))
+    rows.append(("bodies", f"{read.bodies}; {read.specks} specks were left out"))
+    rows += [("taken", text) for text in read.columns]
+    rows += [("changed", text) for text in read.changes] + [("note", text) for text in read.warnings]
     return _section("What was read", table((), rows))
 
 
-def _settings(plan: Any, summary: dict[str, Any]) -> str:
+def _settings(plan: Plan, summary: Summary) -> str:
     settings = plan.cell.settings.model_dump(mode="json")
     versions = [("scanmotion", __version__), ("python", platform.python_version())]
     for name in PACKAGES:
@@ -329,7 +339,7 @@ def _settings(plan: Any, summary: dict[str, Any]) -> str:
             versions.append((name, metadata.version(name)))
         except metadata.PackageNotFoundError:
             versions.append((name, "not installed"))
-    spent = [(name, f"{seconds:.2f} s") for name, seconds in summary["planning_s"].items()]
+    spent = [(name, f"{seconds:.2f} s") for name, seconds in summary.planning_s.items()]
     return _section(
         "Settings, versions, seed",
         f"<p>Seed {plan.options.seed}.</p>",

@@ -13,8 +13,11 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
+from scanmotion.cell.build import Cell
 from scanmotion.cell.drake_scene import add_cell
 from scanmotion.cell.kinematics import object_poses, scanner_poses
+from scanmotion.core.trajectory import Trajectory
+from scanmotion.planning.plan import Plan
 from scanmotion.report.figures import palette
 from scanmotion.report.figures.shapes import (  # fmt: skip
     Mesh,
@@ -33,7 +36,7 @@ FRAMES_PER_SECOND = 10.0
 _AXIS_COLOURS = ("#d62728", "#2ca02c", "#1f77b4")
 
 
-def scene_html(plan: Any) -> str:
+def scene_html(plan: Plan) -> str:
     """A self-contained page that plays the plan.
 
     Args:
@@ -44,7 +47,7 @@ def scene_html(plan: Any) -> str:
     return _with_overlay(page, plan)
 
 
-def live_scene(plan: Any) -> Meshcat:
+def live_scene(plan: Plan) -> Meshcat:
     """The scene served on localhost only, with the motion recorded; `web_url()` says where."""
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.97])
@@ -60,10 +63,12 @@ def live_scene(plan: Any) -> Meshcat:
         for path, X in bodies.poses(plan.cell.home[None]).items():
             meshcat.SetTransform(path, _pose(X[0]))
     else:
-        _path(meshcat, plan)
-        _record(meshcat, plan, bodies, appearing)
+        _path(meshcat, plan.cell, plan.trajectory)
+        _record(meshcat, plan, plan.trajectory, bodies, appearing)
     base, table = plan.cell.X_WB[:3, 3], plan.cell.X_WT[:3, 3]
-    meshcat.SetCameraPose(table + [0.25, -2.4, 1.15], 0.63 * table + 0.37 * base + [0.0, 0.0, 0.45])
+    eye: Any = table + [0.25, -2.4, 1.15]
+    target: Any = 0.63 * table + 0.37 * base + [0.0, 0.0, 0.45]
+    meshcat.SetCameraPose(eye, target)
     return meshcat
 
 
@@ -84,7 +89,7 @@ def _mesh(meshcat: Meshcat, path: str, mesh: Mesh, colour: str, alpha: float = 1
 class _Bodies:
     """The cell's bodies as Drake parses them, for drawing."""
 
-    def __init__(self, cell: Any) -> None:
+    def __init__(self, cell: Cell) -> None:
         builder = DiagramBuilder()
         self.plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
         add_cell(self.plant, cell)
@@ -116,7 +121,7 @@ class _Bodies:
         return poses
 
 
-def _cell(meshcat: Meshcat, plan: Any) -> _Bodies:
+def _cell(meshcat: Meshcat, plan: Plan) -> _Bodies:
     bodies = _Bodies(plan.cell)
     for name, shapes in bodies.shapes.items():
         for number, (shape, X, colour) in enumerate(shapes):
@@ -130,7 +135,7 @@ def _cell(meshcat: Meshcat, plan: Any) -> _Bodies:
     return bodies
 
 
-def _part(meshcat: Meshcat, plan: Any) -> list[tuple[str, float]]:
+def _part(meshcat: Meshcat, plan: Plan) -> list[tuple[str, float]]:
     """The surface coloured by what becomes of it, the holes and the viewpoints: all turn with the table.
 
     Returns:
@@ -159,8 +164,9 @@ def _part(meshcat: Meshcat, plan: Any) -> list[tuple[str, float]]:
     return appearing
 
 
-def _surface(meshcat: Meshcat, plan: Any) -> list[tuple[str, float]]:
+def _surface(meshcat: Meshcat, plan: Plan) -> list[tuple[str, float]]:
     """The part's triangles in pieces, one for each colour and instant at which it appears."""
+    assert plan.samples is not None
     vertices, triangles = paintable(plan.part)
     normals = vertex_normals((vertices, triangles))
     ends, first = first_sight(plan)
@@ -189,7 +195,7 @@ def _cloud(meshcat: Meshcat, points: np.ndarray) -> None:
     meshcat.SetObject("part/surface", cloud, point_size=0.002, rgba=Rgba(0.6, 0.6, 0.65, 1.0))
 
 
-def _viewpoints(meshcat: Meshcat, plan: Any) -> None:
+def _viewpoints(meshcat: Meshcat, plan: Plan) -> None:
     lost = dict(plan.unreachable)
     scanner = plan.cell.settings.scanner_model()
     edges = field_edges(scanner, 0.02, 0.10)
@@ -220,7 +226,7 @@ def _triad(meshcat: Meshcat, path: str, name: str, X: np.ndarray, length: float)
     meshcat.SetTransform(path, _pose(X))
 
 
-def _scanner(meshcat: Meshcat, plan: Any) -> None:
+def _scanner(meshcat: Meshcat, plan: Plan) -> None:
     scanner = plan.cell.settings.scanner_model()
     near, far = scanner.range
     _mesh(meshcat, "scanner/field/volume", field_faces(scanner, far), "#f2a33a", 0.16)
@@ -228,7 +234,7 @@ def _scanner(meshcat: Meshcat, plan: Any) -> None:
     _triad(meshcat, "scanner/frame", "S", np.eye(4), 0.15)
 
 
-def _frames(meshcat: Meshcat, plan: Any) -> None:
+def _frames(meshcat: Meshcat, plan: Plan) -> None:
     cell = plan.cell
     _triad(meshcat, "frames/W", "W", np.eye(4), 0.9)
     if not np.allclose(cell.X_WB, np.eye(4)):
@@ -236,12 +242,11 @@ def _frames(meshcat: Meshcat, plan: Any) -> None:
     _triad(meshcat, "part/frame", "O", np.eye(4), 0.25)
 
 
-def _path(meshcat: Meshcat, plan: Any) -> None:
+def _path(meshcat: Meshcat, cell: Cell, trajectory: Trajectory) -> None:
     """The way of the scanner's optical centre, one colour for each kind of operation."""
-    trajectory = plan.trajectory
     for o in trajectory.operations:
         inside = np.flatnonzero((trajectory.t >= o.t_start) & (trajectory.t <= o.t_end))
-        p = scanner_poses(plan.cell, trajectory.q[inside[:: max(1, len(inside) // 150)]])[:, :3, 3]
+        p = scanner_poses(cell, trajectory.q[inside[:: max(1, len(inside) // 150)]])[:, :3, 3]
         keep = np.concatenate([[True], np.linalg.norm(np.diff(p, axis=0), axis=1) > 1e-4])
         if keep.sum() >= 2:
             _mesh(
@@ -249,7 +254,7 @@ def _path(meshcat: Meshcat, plan: Any) -> None:
             )
 
 
-def frame_times(trajectory: Any, fps: float = FRAMES_PER_SECOND) -> np.ndarray:
+def frame_times(trajectory: Trajectory, fps: float = FRAMES_PER_SECOND) -> np.ndarray:
     """Indices of the trajectory's samples that become frames: evenly spaced, and each operation's ends."""
     t = trajectory.t
     wanted = np.arange(0.0, t[-1], 1.0 / fps)
@@ -258,8 +263,14 @@ def frame_times(trajectory: Any, fps: float = FRAMES_PER_SECOND) -> np.ndarray:
     return np.unique(np.clip(index, 0, len(t) - 1))
 
 
-def _record(meshcat: Meshcat, plan: Any, bodies: _Bodies, appearing: list[tuple[str, float]]) -> None:
-    cell, trajectory = plan.cell, plan.trajectory
+def _record(
+    meshcat: Meshcat,
+    plan: Plan,
+    trajectory: Trajectory,
+    bodies: _Bodies,
+    appearing: list[tuple[str, float]],
+) -> None:
+    cell = plan.cell
     index = frame_times(trajectory)
     t, q = trajectory.t[index], trajectory.q[index]
     poses = bodies.poses(q)
@@ -358,10 +369,10 @@ background:#ffffffd9;padding:.6em .9em;border-radius:6px;max-width:23em}#sm b{fo
 """
 
 
-def _with_overlay(page: str, plan: Any) -> str:
+def _with_overlay(page: str, plan: Plan) -> str:
     """The page with a legend, the numbers, and what is being done at the moment shown."""
-    summary = plan.summary
-    done, time = summary["completeness"]["final"], summary["time_s"]["total"]
+    time = 0.0 if plan.trajectory is None else plan.trajectory.duration
+    done = None if plan.summary is None else plan.summary.completeness.final
     numbers = f"{time:.1f} s" + ("" if done is None else f", {done:.2%} of what can be seen")
     entries = list(zip(palette.STATUS_NAMES, palette.STATUS_COLOURS, strict=True))
     entries = [("not seen yet", palette.NOT_YET), *entries] if plan.samples is not None else []

@@ -8,6 +8,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from scanmotion.core.scanner import Scanner
 from scanmotion.geometry.jit import njit, prange
+from scanmotion.geometry.se3 import turns_about_z
 
 _SKIN = 2e-4
 """Shadow rays start this far off the surface [m]."""
@@ -286,12 +287,7 @@ def turns_see(
 
 def revolution_poses(X_OS: np.ndarray, n: int = 60) -> np.ndarray:
     """The pose (4, 4) seen from the object while the table turns once, shape (n, 4, 4)."""
-    angle = -2 * np.pi * np.arange(n) / n
-    Z = np.tile(np.eye(4), (n, 1, 1))
-    Z[:, 0, 0] = Z[:, 1, 1] = np.cos(angle)
-    Z[:, 1, 0] = np.sin(angle)
-    Z[:, 0, 1] = -Z[:, 1, 0]
-    return Z @ X_OS
+    return turns_about_z(-2 * np.pi * np.arange(n) / n) @ X_OS
 
 
 def hemisphere(n: int) -> np.ndarray:

@@ -10,11 +10,11 @@ from scanmotion.cell.collision.sphere_filter import (
     _cylinder,
     _outside,
     _placed,
-    _poses,
     margin,
 )
 from scanmotion.cell.model import TOOL, Cell
 from scanmotion.cell.robot import Body
+from scanmotion.geometry.chain import link_frames
 
 
 def sure_points(cell: Cell, spheres: tuple) -> np.ndarray:
@@ -132,7 +132,7 @@ def first_free(q, starts, geometry, most, chain, spheres, boxes, world, grid):
 def _blocked(q, sure, pad, chain, spheres, boxes, solid, world, grid):
     """Whether a point inside the robot comes nearer to something than the clearance, less `pad`."""
     X = np.empty((8, 3, 4))
-    _poses(q, chain, X)
+    link_frames(q, chain, X)
     cos, sin = np.cos(q[6]), np.sin(q[6])
     points, starts, bounds, groups, floored = spheres
     box_link, box_X, box_half, pairs, self_clearance = boxes

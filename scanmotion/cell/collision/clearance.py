@@ -14,7 +14,8 @@ from scanmotion.cell.collision.shapes import box_of, fcl_object
 from scanmotion.cell.collision.sphere_filter import edge_free, edges_free, filter_from, margins
 from scanmotion.cell.kinematics import link_poses, object_poses
 from scanmotion.cell.model import TOOL, Cell
-from scanmotion.cell.robot import Body, inverse_poses
+from scanmotion.cell.robot import Body
+from scanmotion.geometry.se3 import inverse_poses
 
 PAD_M = 0.004
 """Half of the least step along an edge; the fast tier keeps this much more than the clearances [m]."""

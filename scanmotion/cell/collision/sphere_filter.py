@@ -16,6 +16,7 @@ from scanmotion.cell.collision.shapes import beyond, box_of
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 from scanmotion.cell.robot import Body
 from scanmotion.core.part import Part
+from scanmotion.geometry.chain import link_frames
 
 _CELL_M = (0.30, 0.24, 0.17, 0.14, 0.09, 0.08, 0.06, 0.05)
 """Edge of the cells that a link's boxes are cut into before each is wrapped in a sphere, by link [m].
@@ -68,8 +69,9 @@ def filter_from(
     """
     moving = sorted((b for b in cell.bodies if 1 <= b.link <= TOOL), key=lambda b: -b.link)
     length = float(np.linalg.norm(cell.robot.X_PJ[:, :3, 3], axis=1).sum())
-    # The tool is as large on any arm.
-    covers = [_sphere_cover(b, min(1.0, length / _LONG_M) if b.link < TOOL else 1.0) for b in moving]
+    # The tool is as large on any arm, but a short one brings its wrist nearer to it.
+    scale = min(1.0, length / _LONG_M)
+    covers = [_sphere_cover(b, scale if b.link < TOOL else 1.0 if scale > 0.75 else 0.5) for b in moving]
     spheres = np.concatenate(covers)
     groups = np.array([b.link for b in moving])
     starts = np.concatenate([[0], np.cumsum([len(c) for c in covers])])
@@ -159,49 +161,6 @@ def _reach(cell: Cell, spheres: np.ndarray, links: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
-def _poses(q, chain, out):
-    """Rotations and origins of links 0..6 and the flange (index 7) in W, shape (8, 3, 4)."""
-    X_PJ, axes, X_WB, X_6F = chain
-    for r in range(3):
-        for c in range(4):
-            out[0, r, c] = X_WB[r, c]
-    for i in range(6):
-        x, y, z = axes[i, 0], axes[i, 1], axes[i, 2]
-        s, c = np.sin(q[i]), np.cos(q[i])
-        v = 1.0 - c
-        R = np.array(
-            [
-                [c + x * x * v, x * y * v - z * s, x * z * v + y * s],
-                [y * x * v + z * s, c + y * y * v, y * z * v - x * s],
-                [z * x * v - y * s, z * y * v + x * s, c + z * z * v],
-            ]
-        )
-        for r in range(3):
-            p = out[i, r, 3]
-            for k in range(3):
-                p += out[i, r, k] * X_PJ[i, k, 3]
-            out[i + 1, r, 3] = p
-            for col in range(3):
-                total = 0.0
-                for k in range(3):
-                    a = 0.0
-                    for m in range(3):
-                        a += X_PJ[i, k, m] * R[m, col]
-                    total += out[i, r, k] * a
-                out[i + 1, r, col] = total
-    for r in range(3):
-        p = out[6, r, 3]
-        for k in range(3):
-            p += out[6, r, k] * X_6F[k, 3]
-        out[7, r, 3] = p
-        for col in range(3):
-            total = 0.0
-            for k in range(3):
-                total += out[6, r, k] * X_6F[k, col]
-            out[7, r, col] = total
-
-
-@njit(cache=True)
 def _placed(X, p):
     """A point of a link's frame in W."""
     return (
@@ -281,7 +240,7 @@ def _outside(px, py, pz, floor, cos, sin, world, grid):
 def margin(q, chain, spheres, boxes, world, grid, enough):
     """Lower bound of the distance to contact beyond the clearances; exact only below `enough` [m]."""
     X = np.empty((8, 3, 4))
-    _poses(q, chain, X)
+    link_frames(q, chain, X)
     cos, sin = np.cos(q[6]), np.sin(q[6])
     points, starts, bounds, groups, floored = spheres
     box_link, box_X, box_half, pairs, self_clearance = boxes

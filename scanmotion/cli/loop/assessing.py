@@ -212,7 +212,7 @@ def write_assessment(out: Path, made: Any, record: dict[str, Any], html: str) ->
 
     import numpy as np
 
-    from scanmotion.plan_io.schema import atomic_folder
+    from scanmotion.plan_io.files import atomic_folder
     from scanmotion.sensing.fusion.surface import deviation_mesh
 
     files: dict[str, bytes | str] = {

@@ -8,7 +8,7 @@ import re
 import numpy as np
 
 from scanmotion.core.errors import PartError
-from scanmotion.geometry.files.raw import NO_TRIANGLES, Polygons, RawGeometry, triangulated
+from scanmotion.geometry.files.raw import NO_TRIANGLES, Polygons, RawGeometry, triangulated, whole_numbers
 from scanmotion.geometry.files.text import (
     blocks,
     lines_of,
@@ -125,9 +125,7 @@ def _faces(text: bytes, before: np.ndarray) -> Polygons:
     flat = np.concatenate([numbers(block) for block in blocks(text)]) if text.strip() else np.zeros(0)
     if len(counts) != len(before):
         counts = np.append(counts, np.zeros(len(before) - len(counts), np.int64))
-    if not (np.isfinite(flat).all() and (np.abs(flat) < 1 << 53).all() and (flat == np.rint(flat)).all()):
-        raise PartError("OBJ faces with corners that are no whole numbers")
-    corners = flat.astype(np.int64)
+    corners = whole_numbers(flat)
     if (corners == 0).any():
         raise PartError("a face points at vertex 0; OBJ counts from 1")
     seen = np.repeat(before, counts)
@@ -167,11 +165,11 @@ def read_off(data: bytes) -> RawGeometry:
     flat, words = numbers(faces), lines_of(faces).words
     words = words[words > 0]
     at = np.cumsum(words) - words
-    counts = flat[at].astype(np.int64)
+    counts = whole_numbers(flat[at])
     if (counts < 0).any() or (counts + 1 > words).any():
         raise PartError("OFF file is cut short inside its faces")
     first = np.cumsum(counts) - counts
-    corners = flat[np.repeat(at + 1 - first, counts) + np.arange(int(counts.sum()))].astype(np.int64)
+    corners = whole_numbers(flat[np.repeat(at + 1 - first, counts) + np.arange(int(counts.sum()))])
     triangles, notes = triangulated(rows[:, :3], Polygons(corners=corners, counts=counts))
     return RawGeometry(
         vertices=rows[:, :3].copy(), triangles=triangles, format="OFF",

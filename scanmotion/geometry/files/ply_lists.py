@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scanmotion.core.errors import PartError
-from scanmotion.geometry.files.raw import Polygons
+from scanmotion.geometry.files.raw import Polygons, whole_numbers
 
 FACE_NAMES = ("face", "faces", "polygon", "triangle")
 
@@ -65,7 +65,8 @@ def lists_of(data: bytes, element: Element, at: int, order: str) -> tuple[Table,
         table, end = same
         if element.index_list is None:
             return Table(columns={}), end
-        corners = table[f"list{element.index_list}"].reshape(element.count, -1).astype(np.int64)
+        corners = table[f"list{element.index_list}"].reshape(element.count, -1)
+        corners = whole_numbers(corners)
         counts = np.full(element.count, corners.shape[1])
         return Table(columns={}, faces=Polygons(corners=corners.ravel(), counts=counts)), end
     return _walked(data, element, at, order)
@@ -115,4 +116,4 @@ def _walked(data: bytes, element: Element, at: int, order: str) -> tuple[Table, 
     where = np.repeat(start - first * size, counts) + size * np.arange(int(counts.sum()))
     octets = raw[where[:, None] + np.arange(size)]
     values = np.ascontiguousarray(octets).view(order + element.properties[which].kind)
-    return Table(columns={}, faces=Polygons(corners=values.ravel().astype(np.int64), counts=counts)), end
+    return Table(columns={}, faces=Polygons(corners=whole_numbers(values.ravel()), counts=counts)), end

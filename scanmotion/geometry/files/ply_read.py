@@ -10,7 +10,14 @@ import numpy as np
 
 from scanmotion.core.errors import PartError
 from scanmotion.geometry.files.ply_lists import FACE_NAMES, Element, Property, Table, lists_of
-from scanmotion.geometry.files.raw import NO_TRIANGLES, Polygons, RawGeometry, float_step, triangulated
+from scanmotion.geometry.files.raw import (
+    NO_TRIANGLES,
+    Polygons,
+    RawGeometry,
+    float_step,
+    triangulated,
+    whole_numbers,
+)
 from scanmotion.geometry.files.text import lines_of, numbers, plain_text, stated_unit, table_of, text_step
 
 _TYPES = {
@@ -116,6 +123,9 @@ def _geometry(header: Header, tables: dict[str, Table], data: bytes) -> RawGeome
         if table.faces is None:
             if names[name].count and (name in FACE_NAMES or "strip" in name):
                 raise PartError(f"PLY file whose {names[name].count} {name} elements hold no list of corners")
+            lists = any(p.length and p.kind[0] in "iu" for p in names[name].properties)
+            if lists and names[name].count and not any(t.faces for t in tables.values()):
+                raise PartError(f"PLY file whose {names[name].count} {name} elements are not understood")
             if names[name].count:
                 notes.append(f"{names[name].count} {name} elements are no faces and were left out")
             continue
@@ -156,6 +166,7 @@ def _unstripped(strips: Polygons) -> Polygons:
     ends = np.cumsum(strips.counts)
     for first, end in zip(ends - strips.counts, ends, strict=True):
         run = strips.corners[first:end]
+        run = np.where(run == 0xFFFFFFFF, -1, run)
         for piece in np.split(run, np.flatnonzero(run == -1)):
             piece = piece[1:] if len(piece) and piece[0] == -1 else piece
             if len(piece) < 3:
@@ -218,7 +229,7 @@ def _ascii_table(block: bytes, element: Element) -> Table:
             continue
         if (at >= end).any():
             raise PartError("PLY file is cut short inside its faces")
-        counts = flat[at].astype(np.int64)
+        counts = whole_numbers(flat[at])
         if (counts < 0).any() or (at + 1 + counts > end).any():
             raise PartError("PLY file is cut short inside its faces")
         if i == element.index_list:
@@ -235,10 +246,4 @@ def _runs(flat: np.ndarray, start: np.ndarray, counts: np.ndarray) -> np.ndarray
     """
     first = np.cumsum(counts) - counts
     where = np.repeat(start - first, counts) + np.arange(int(counts.sum()))
-    values = flat[where]
-    if not (np.isfinite(values).all() and (np.abs(values) < 1 << 53).all()):
-        raise PartError("PLY faces with corners that are no numbers")
-    whole = values.astype(np.int64)
-    if (whole != values).any():
-        raise PartError("PLY faces with corners that are no whole numbers")
-    return whole
+    return whole_numbers(flat[where])

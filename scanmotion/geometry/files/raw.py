@@ -51,6 +51,18 @@ def float_step(points: np.ndarray) -> float:
     return float(np.spacing(np.float32(min(largest, 3e38))))
 
 
+def whole_numbers(values: np.ndarray) -> np.ndarray:
+    """Counts and corners of faces as int64.
+
+    Raises:
+        PartError: one is no whole number.
+    """
+    with np.errstate(invalid="ignore"):
+        if values.dtype.kind == "f" and not ((np.abs(values) < 1 << 53) & (values == np.rint(values))).all():
+            raise PartError("faces with counts or corners that are no whole numbers")
+    return values.astype(np.int64)
+
+
 def checked_triangles(faces: np.ndarray, n_vertices: int) -> np.ndarray:
     """Triangles as int64 (m, 3) whose corners exist.
 

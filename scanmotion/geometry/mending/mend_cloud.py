@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import PartError
+from scanmotion.core.read_report import counted
 from scanmotion.geometry.files.raw import are_numbers
 from scanmotion.geometry.mending.floor import floor_under
 from scanmotion.geometry.mending.keys import equal_points
@@ -71,7 +72,12 @@ def measured_points(points: np.ndarray, normals: np.ndarray | None, path: str = 
 
 
 def mended_cloud(
-    points: np.ndarray, normals: np.ndarray | None, *, up: np.ndarray, path: str = ""
+    points: np.ndarray,
+    normals: np.ndarray | None,
+    *,
+    up: np.ndarray,
+    path: str = "",
+    islands: bool = True,
 ) -> MendedCloud:
     """Drops what measures nothing, thins, leaves out specks and a floor, and checks the normals.
 
@@ -80,6 +86,7 @@ def mended_cloud(
         normals: as in the file, shape (n, 3).
         up: unit vector in the file's frame, shape (3,).
         path: for the error.
+        islands: whether larger pieces that float count too; one scan of several may have such.
 
     Raises:
         PartError: too few points are left.
@@ -89,10 +96,12 @@ def mended_cloud(
     size = float(np.linalg.norm(np.ptp(made.points, axis=0)))
     if len(made.points) > 100 and spacing > 0:
         made = _without_floor(made, up)
-        speck, specks, rest = cloud_specks(made.points, max(_CELLS * spacing, _OF_SIZE * size))
+        cells = max(_CELLS * spacing, _OF_SIZE * size)
+        speck, specks, rest = cloud_specks(made.points, cells, up if islands else None)
         made = replace(made, pieces=rest)
         if specks:
-            said = f"{specks} specks ({int(speck.sum())} points) that float off the part were left out"
+            n = counted(int(speck.sum()), "point")
+            said = f"{counted(specks, 'speck')} ({n}) floating off the part left out"
             made = replace(made.kept(~speck, said), specks=specks)
     return with_checked_normals(made)
 

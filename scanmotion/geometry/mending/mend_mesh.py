@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scanmotion.core.errors import PartError
+from scanmotion.core.read_report import counted
 from scanmotion.geometry.files.raw import are_numbers
 from scanmotion.geometry.mending.edges import areas_of, edges_of
 from scanmotion.geometry.mending.floor import floor_under
@@ -88,10 +89,13 @@ def mended(
         )
     vertices, triangles = made.vertices, made.triangles
     triangles = _without_floor(vertices, triangles, up, said)
-    speck, body, specks = mesh_specks(vertices, triangles)
+    speck, body, specks = mesh_specks(vertices, triangles, up)
     if specks:
-        said.append(f"{specks} specks ({int(speck.sum())} triangles) that float off the part were left out")
+        n = counted(int(speck.sum()), "triangle")
+        said.append(f"{counted(specks, 'speck')} ({n}) floating off the part left out")
         triangles = triangles[~speck]
+    if len(triangles) == 0:
+        raise PartError("no surface is left once flaps and specks are dropped", path=path)
     side = sided(vertices, triangles)
     vertices, triangles = _used(vertices, side.triangles, said)
     return Mended(
@@ -117,6 +121,8 @@ def _without_floor(
         )
         return triangles
     keep = floor.above(vertices)[triangles].all(axis=1)
+    if not keep.any():
+        return triangles
     said.append(
         f"a plane {floor.size:.4g} wide under it (table or floor, {int((~keep).sum())} triangles) was cut off"
     )

@@ -5,22 +5,27 @@ from scipy.spatial import cKDTree
 
 from scanmotion.geometry.mending.edges import areas_of, bodies_of, pieces
 
+_ISLAND = 0.05
+"""What floats off the part, and does not stand on its ground, is left out up to this share."""
 _SHARE = 0.005
 """All that floats off together is specks only up to this share of the surface (or of the points), each."""
-_SIZE = 0.1
-"""A speck's box is at most so large, as a share of the part's."""
+_SIZE = 0.25
+"""Its box is at most so large, as a share of the part's."""
 _GAP = 0.02
 """It is at least this share of the part's size away from the rest, and its own size."""
 _NEAR_ENOUGH = 20_000
 """Points of the part that stand for it where a gap is measured, beside its triangles' corners."""
 
 
-def mesh_specks(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+def mesh_specks(
+    vertices: np.ndarray, triangles: np.ndarray, up: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, int]:
     """Specks of a mesh.
 
     Args:
         vertices: shape (n, 3).
         triangles: shape (m, 3).
+        up: unit vector, shape (3,); islands that do not stand on the part's ground count where it is given.
 
     Returns:
         which triangles belong to specks (m,), the body of each triangle (m,), and how many specks there are.
@@ -33,19 +38,21 @@ def mesh_specks(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray
     area = areas_of(vertices, triangles)
     share = np.bincount(body, weights=area, minlength=k) / max(float(area.sum()), 1e-300)
     corner, whose = triangles.ravel(), np.repeat(body, 3)
-    low, high = _boxes(vertices[corner], whose, k)
     points = vertices[corner]
     some, _ = spread_samples(vertices, triangles)
-    far = _far(points, whose, share, low, high, some)
+    far = _far(points, whose, share, some, up)
     return far[body], body, int(far.sum())
 
 
-def cloud_specks(points: np.ndarray, cells: float) -> tuple[np.ndarray, int, int]:
+def cloud_specks(
+    points: np.ndarray, cells: float, up: np.ndarray | None = None
+) -> tuple[np.ndarray, int, int]:
     """Specks of a cloud: points whose neighbours within `cells` are few and far from the rest.
 
     Args:
         points: shape (n, 3).
         cells: edge of the cells whose neighbours are taken together.
+        up: as of mesh_specks.
 
     Returns:
         which points are specks (n,), how many specks there are, and how many pieces the rest has.
@@ -59,8 +66,7 @@ def cloud_specks(points: np.ndarray, cells: float) -> tuple[np.ndarray, int, int
     if k < 2:
         return np.zeros(len(points), bool), 0, 1
     share = np.bincount(piece, minlength=k) / len(points)
-    low, high = _boxes(points, piece, k)
-    far = _far(points, piece, share, low, high, np.zeros((0, 3)))
+    far = _far(points, piece, share, np.zeros((0, 3)), up)
     return far[piece], int(far.sum()), k - int(far.sum())
 
 
@@ -89,19 +95,31 @@ def spread_samples(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndar
 
 
 def _far(
-    points: np.ndarray, whose: np.ndarray, share: np.ndarray, low: np.ndarray, high: np.ndarray,
-    more: np.ndarray,
-) -> np.ndarray:  # fmt: skip
-    """Which pieces are specks, shape (k,)."""
-    small = share < _SHARE
+    points: np.ndarray, whose: np.ndarray, share: np.ndarray, more: np.ndarray, up: np.ndarray | None
+) -> np.ndarray:
+    """Which pieces are specks or islands, shape (k,).
+
+    Args:
+        points: of all pieces, shape (n, 3).
+        whose: piece of each point, shape (n,).
+        share: of the whole, shape (k,).
+        more: further points of the large pieces, for the gap.
+        up: as of mesh_specks.
+    """
+    low, high = _boxes(points, whose, len(share))
+    small = share < (_SHARE if up is None else _ISLAND)
     if not small.any() or small.all():
         return np.zeros(len(share), bool)
     keep = ~small
     size = float(np.linalg.norm(high[keep].max(axis=0) - low[keep].min(axis=0)))
     own = np.linalg.norm(high - low, axis=1)
     small &= own < _SIZE * size
-    candidates = np.flatnonzero(small)
-    if not len(candidates):
+    if up is not None:
+        # What stands on the ground beside the part may be a part of its own.
+        foot = np.full(len(share), np.inf)
+        np.minimum.at(foot, whose, points @ up)
+        small &= (share < _SHARE) | (np.abs(foot - foot[keep].min()) > _GAP * size)
+    if not small.any():
         return np.zeros(len(share), bool)
     rest = ~small[whose]
     base = np.concatenate([points[rest], more[_inside_boxes(more, low, high, ~small)]])

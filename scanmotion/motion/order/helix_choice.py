@@ -10,6 +10,7 @@ from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.core.tour import Stop
+from scanmotion.geometry.rest_to_rest import jerk_limited_seconds
 from scanmotion.motion.timing.helix import (
     NEAREST_M,
     TURN,
@@ -23,7 +24,6 @@ from scanmotion.motion.timing.helix import (
 from scanmotion.motion.transit.drive import positions
 from scanmotion.motion.transit.plan import samples_free
 from scanmotion.motion.transit.straight_line import chord
-from scanmotion.motion.transit_cost import jerk_limited_seconds
 
 _TABLE = 6
 _KEPT = 300

@@ -11,6 +11,7 @@ import numpy as np
 from scanmotion.core.errors import InputError
 from scanmotion.core.tour import Stop, Tour
 from scanmotion.motion.order.generalised_tsp import search
+from scanmotion.motion.order.given_order import given_order
 from scanmotion.motion.order.lower_bound import floor_seconds
 from scanmotion.motion.order.paper_order import paper_order
 from scanmotion.motion.order.stops import (
@@ -79,7 +80,7 @@ def sequence(
     reaches: Sequence[Reach],
     *,
     start_q: np.ndarray,
-    mode: Literal["default", "paper"] | str = "default",
+    mode: Literal["default", "paper", "given"] | str = "default",
     rng: np.random.Generator,
     options: SequenceOptions | None = None,
     path_free: PathFree | None = None,
@@ -90,12 +91,13 @@ def sequence(
     Viewpoints of the global step come before those of the local step. A revolution keeps the arm still and
     may turn either way; a sweep may be passed either way; a station is a dwell. Mode "paper" orders the
     viewpoints by Euclidean distance and turns the table only for those that need it (its section 4).
+    Mode "given" visits them in the order of `reaches`.
 
     Args:
         cell: limits of the axes and speeds of the process.
         reaches: the viewpoints with their collision-free configurations.
         start_q: where the programme stands, shape (7,) [rad]; with `keep`, where the last kept stop ends.
-        mode: "default" or "paper".
+        mode: "default", "paper" or "given".
         rng: source of the random numbers; the same state gives the same tour.
         options: how hard to search.
         path_free: tells whether a sweep's joint path (k, 7) is clear; None takes it as clear.
@@ -108,8 +110,8 @@ def sequence(
     start_q = np.array(start_q, dtype=float)
     if start_q.shape != (7,) or not np.isfinite(start_q).all():
         raise InputError(f"start_q must be seven finite joint positions, got shape {start_q.shape}")
-    if mode not in ("default", "paper"):
-        raise InputError(f"mode {mode!r} is unknown; known: default, paper")
+    if mode not in ("default", "paper", "given"):
+        raise InputError(f"mode {mode!r} is unknown; known: default, paper, given")
     done = {v for stop in keep for v in stop.viewpoints}
     reaches = [r for r in reaches if r.viewpoint.id not in done]
     model = move_model(cell)
@@ -120,6 +122,8 @@ def sequence(
 
         p_OS = np.asarray(scanner_in_object(cell, start_q[None]))[0, :3, 3]
         order, ways = paper_order(groups, viewpoints, p_OS, start_q, rng, options.orders)
+    elif mode == "given":
+        order, ways = given_order(groups, [r.viewpoint.id for r in reaches], model, start_q)
     else:
         best = _fastest_order(model, groups, start_q, rng, options)
         groups, order, ways = best.groups, best.order, best.ways

@@ -7,6 +7,7 @@ import numpy as np
 
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
+from scanmotion.cell.ik.choice import has_closed_form
 from scanmotion.cell.kinematics import branches, scanner_in_object, scanner_poses, wrist_shortfall
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.motion.reach.diagnosis import Remedies, Unreachable, cause_of
@@ -40,6 +41,16 @@ class Reach:
     X_OS: np.ndarray
     """Scanner in the object that each configuration gives, shape (k, 4, 4)."""
     unreachable: Unreachable | None = None
+    solver: str = ""
+    """Which solver found the configurations: ANALYTIC, NUMERIC or RESCUE; empty where there are none."""
+
+
+ANALYTIC = "analytic"
+"""The arm's closed form: every branch and winding."""
+NUMERIC = "search"
+"""Drake's InverseKinematics from fixed seeds, for an arm without a closed form."""
+RESCUE = "Drake, within the slack"
+"""Drake's InverseKinematics with a minimum distance, where no exact pose is served."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,11 +204,11 @@ class _Block:
         if self.kept[n]:
             return self._reach(viewpoint, np.concatenate(self.kept[n]))
         tried = np.concatenate(self.tried[n]) if self.tried[n] else np.zeros((0, 8))
-        exact = self._exact(tried) if viewpoint.kind == "station" else tried[:0]
+        exact, solver = self._exact(tried) if viewpoint.kind == "station" else tried[:0], ""
         if len(exact) == 0 and self.options.slack and has_slack(viewpoint):
-            exact = self._within_slack(viewpoint, search)
+            exact, solver = self._within_slack(viewpoint, search)
         if len(exact):
-            return self._reach(viewpoint, exact)
+            return self._reach(viewpoint, exact, solver=solver)
         for angles in (self.angles[n][:3], self.angles[n]):
             if len(tried) == 0:
                 # The tool itself is in the way everywhere, or the arm does not go there.
@@ -207,25 +218,25 @@ class _Block:
         cause = cause_of(self.cell, viewpoint, self.clearance, X_WS, table, tried[:, :7])
         return self._reach(viewpoint, tried[:0], cause)
 
-    def _within_slack(self, viewpoint: Viewpoint, search: SlackSearch) -> np.ndarray:
-        """Free rows at other poses within the slack: analytic ones, else one from the constrained search."""
+    def _within_slack(self, viewpoint: Viewpoint, search: SlackSearch) -> tuple[np.ndarray, str]:
+        """Free rows at other poses within the slack, and their solver: analytic ones, else one of Drake's."""
         few = replace(self.options, most=max(self.options.most // 8, 1))
         others = _Block(self.cell, variants(self.cell, viewpoint), self.clearance, few)
         others.look()
         kept = [rows[: few.most] for found in others.kept for rows in found]
         if kept:
-            return np.concatenate(kept)[: self.options.most]
+            return np.concatenate(kept)[: self.options.most], ""
         tried = np.concatenate([np.zeros((0, 8)), *(rows for found in others.tried for rows in found)])[:, :7]
         if len(tried) == 0:
-            return np.zeros((0, 8))
+            return np.zeros((0, 8)), ""
         q = search.solve(viewpoint, seeds_from(tried, self.clearance.surely_blocked(tried)))
         if q is None:
-            return np.zeros((0, 8))
+            return np.zeros((0, 8)), ""
         solved = branches(self.cell, scanner_poses(self.cell, q[None]))
         off = np.abs(solved.q - q[:6]).max(axis=1)
         # At the edge of a limit rounding may lose the branch: such a place is called singular.
         sigma = solved.manipulability[np.argmin(off)] if len(off) and off.min() < 1e-3 else 0.0
-        return np.append(q, sigma)[None]
+        return np.append(q, sigma)[None], RESCUE
 
     def _exact(self, tried: np.ndarray) -> np.ndarray:
         """The rows that the exact tier calls free, `most` of them at most."""
@@ -237,12 +248,17 @@ class _Block:
                 break
         return np.concatenate(found)
 
-    def _reach(self, viewpoint: Viewpoint, rows: np.ndarray, cause: Unreachable | None = None) -> Reach:
+    def _reach(
+        self, viewpoint: Viewpoint, rows: np.ndarray, cause: Unreachable | None = None, solver: str = ""
+    ) -> Reach:
         rows = rows[: self.options.most]
         q = np.ascontiguousarray(rows[:, :7])
+        if len(q):
+            solver = solver or (ANALYTIC if has_closed_form(self.cell.robot) else NUMERIC)
         return Reach(
             viewpoint=viewpoint, q=q, clearance=np.maximum(self.clearance.margins(q), 0.0),
             manipulability=rows[:, 7].copy(), X_OS=scanner_in_object(self.cell, q), unreachable=cause,
+            solver=solver,
         )  # fmt: skip
 
 

@@ -7,8 +7,9 @@ import numpy as np
 
 from scanmotion.cell.build import Cell
 from scanmotion.cell.kinematics import branches, scanner_in_object
-from scanmotion.cell.robot import clean_angle
 from scanmotion.core.viewpoint import Viewpoint
+from scanmotion.geometry.se3 import clean_angle
+from scanmotion.geometry.se3 import turns_about_z as turns_about_z
 
 SINGULAR = 0.02
 """Configurations whose least singular value is below this come last: next to them joints race."""
@@ -117,12 +118,3 @@ def presented(
     if rolls > 1:
         X = X @ turns_about_z(2 * np.pi * np.arange(rolls) / rolls)[None]
     return X.reshape(-1, 4, 4), np.repeat(angles, rolls)
-
-
-def turns_about_z(angles: np.ndarray) -> np.ndarray:
-    """Turns about z by `angles` (n,) [rad], shape (n, 4, 4)."""
-    X = np.tile(np.eye(4), (len(angles), 1, 1))
-    X[:, 0, 0] = X[:, 1, 1] = np.cos(angles)
-    X[:, 1, 0] = np.sin(angles)
-    X[:, 0, 1] = -X[:, 1, 0]
-    return X

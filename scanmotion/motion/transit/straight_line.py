@@ -11,8 +11,8 @@ import numpy as np
 from scanmotion.cell.build import Cell
 from scanmotion.cell.kinematics import tcp_jacobian
 from scanmotion.core.tour import PathMethod
+from scanmotion.geometry.rest_to_rest import trapezoid_seconds
 from scanmotion.motion.timing.jerk_limited import ruckig_law
-from scanmotion.motion.timing.speed_profile import Limits
 from scanmotion.motion.timing.spline import STEP_M, STEP_RAD, step_counts
 from scanmotion.motion.transit.drive import positions, transit_limits
 
@@ -33,7 +33,7 @@ def least_seconds(cell: Cell, qa: np.ndarray, qb: np.ndarray) -> np.ndarray:
     qa, qb = np.atleast_2d(qa), np.atleast_2d(qb)
     limits = transit_limits(cell)
     chord = np.linalg.norm(positions(cell, qb) - positions(cell, qa), axis=1)
-    return np.maximum(chord / limits.tcp, _axis_seconds(np.abs(qb - qa), limits).max(axis=1))
+    return np.maximum(chord / limits.tcp, trapezoid_seconds(np.abs(qb - qa), limits.v, limits.a).max(axis=1))
 
 
 def ways(cell: Cell, qa: np.ndarray, qb: np.ndarray) -> list[tuple[PathMethod, np.ndarray]]:
@@ -128,9 +128,3 @@ def with_table(cell: Cell, arm: np.ndarray) -> np.ndarray:
             return q
         # Evenly spaced points would be split unevenly later where a step is too long: take more of them.
         count = int(np.ceil(count * max(float(steps.max()), 1.02)))
-
-
-def _axis_seconds(distance: np.ndarray, limits: Limits) -> np.ndarray:
-    """Rest to rest, each axis alone, trapezoid or triangle of velocity [s]."""
-    ramped = distance / limits.v + limits.v / limits.a
-    return np.where(distance > limits.v**2 / limits.a, ramped, 2 * np.sqrt(distance / limits.a))

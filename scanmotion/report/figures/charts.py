@@ -1,9 +1,13 @@
 """Charts of a trajectory over time with its limits, and where the seconds go."""
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from scanmotion.cell.build import Cell
+from scanmotion.core.summary import BudgetSummary
+from scanmotion.core.trajectory import Trajectory
 from scanmotion.report.figures.maps import new_figure
 from scanmotion.report.figures.palette import JOINT_COLOURS, OPERATION_COLOURS, TIME_COLOURS
 
@@ -12,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def joint_figure(trajectory: Any, cell: Any) -> "Figure":
+def joint_figure(trajectory: Trajectory, cell: Cell) -> "Figure":
     """Position inside its range, speed and acceleration of each joint, as shares of the limits."""
     figure = new_figure(11.0, 7.0)
     axes = figure.subplots(3, 1, sharex=True)
@@ -47,7 +51,7 @@ def tcp_speed(t: np.ndarray, p_WS: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.gradient(p_WS, t, axis=0), axis=1)
 
 
-def tcp_figure(trajectory: Any, p_WS: np.ndarray, limit: float) -> "Figure":
+def tcp_figure(trajectory: Trajectory, p_WS: np.ndarray, limit: float) -> "Figure":
     """Speed of the scanner's optical centre over time, with its limit [m/s]."""
     figure = new_figure(11.0, 2.6)
     ax = figure.subplots()
@@ -69,7 +73,7 @@ def tcp_figure(trajectory: Any, p_WS: np.ndarray, limit: float) -> "Figure":
     return figure
 
 
-def time_figure(time_s: dict[str, float], budget: float) -> "Figure":
+def time_figure(time_s: Mapping[str, float], budget: float) -> "Figure":
     """Seconds by kind of work against the budget and the proven floor."""
     figure = new_figure(11.0, 1.6)
     ax, left = figure.subplots(), 0.0
@@ -83,24 +87,24 @@ def time_figure(time_s: dict[str, float], budget: float) -> "Figure":
     return figure
 
 
-def curve_figure(budget: dict[str, Any]) -> "Figure":
+def curve_figure(budget: BudgetSummary) -> "Figure":
     """Completeness against seconds: of this programme as it goes on, and of shorter ones."""
     figure = new_figure(11.0, 2.8)
     ax = figure.subplots()
-    for key, colour, label in (
-        ("by_order", "#777777", "this programme up to then"),
-        ("curve", "#1b6ca8", "without its least worthy stops"),
+    for line, colour, label in (
+        (budget.by_order, "#777777", "this programme up to then"),
+        (budget.curve, "#1b6ca8", "without its least worthy stops"),
     ):
-        points = sorted((p["seconds"], 100 * p["completeness"]) for p in budget[key])
+        points = sorted((p.seconds, 100 * p.completeness) for p in line)
         ax.plot(*zip(*points, strict=True), color=colour, marker=".", lw=0.9, label=label)
-    ax.axvline(budget["limit_s"], color="#c8102e", lw=1.2, label=f"budget {budget['limit_s']:.1f} s")
-    least = min((p["completeness"] for p in budget["by_order"]), default=0.0)
+    ax.axvline(budget.limit_s, color="#c8102e", lw=1.2, label=f"budget {budget.limit_s:.1f} s")
+    least = min((p.completeness for p in budget.by_order), default=0.0)
     ax.set(xlabel="time [s]", ylabel="seen of what can be [%]", ylim=(100 * max(least - 0.02, 0.0), 100.5))
     ax.legend(ncols=3, fontsize=7, loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
     return figure
 
 
-def _span(trajectory: Any) -> tuple[float, float]:
+def _span(trajectory: Trajectory) -> tuple[float, float]:
     return float(trajectory.t[0]), float(trajectory.t[-1])
 
 
@@ -109,7 +113,7 @@ def _thin(n: int, most: int = 4000) -> slice:
     return slice(None, None, max(1, n // most))
 
 
-def _operations(ax: "Axes", trajectory: Any, *, legend: bool = False) -> None:
+def _operations(ax: "Axes", trajectory: Trajectory, *, legend: bool = False) -> None:
     named: set[str] = set()
     for operation in trajectory.operations:
         label = operation.kind if legend and operation.kind not in named else None

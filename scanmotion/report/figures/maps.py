@@ -1,13 +1,19 @@
 """Coverage before and after, the holes, the viewpoints round the part, and the cell from above."""
 
 import io
+from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from scanmotion.cell.build import Cell
+from scanmotion.core.part import Part
+from scanmotion.core.trajectory import Trajectory
+from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.geometry.parts import surface_samples
+from scanmotion.planning.plan import Plan
 from scanmotion.report.figures import palette
 from scanmotion.report.figures.surface import (
     View,
@@ -18,6 +24,7 @@ from scanmotion.report.figures.surface import (
     status_of_samples,
     view_of,
 )
+from scanmotion.sensing.holes.find import HoleReport
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,11 +63,12 @@ def new_figure(width: float, height: float) -> "Figure":
     return _figure_class()(figsize=(width, height), layout="constrained", dpi=140)
 
 
-def coverage_figure(plan: Any) -> "Figure":
+def coverage_figure(plan: Plan) -> "Figure":
     """Six sides of the part after the global step (upper row) and at the end (lower row).
 
     The numbers are those of the largest patches that stay unscanned, as the report lists them.
     """
+    assert plan.samples is not None
     views = _views(plan.part)
     figure, axes = _gallery(views, 2)
     for row, after, title in ((0, "global", "after the global step"), (1, "final", "at the end")):
@@ -74,7 +82,7 @@ def coverage_figure(plan: Any) -> "Figure":
     return figure
 
 
-def _patches(ax: "Axes", plan: Any, view: View) -> None:
+def _patches(ax: "Axes", plan: Plan, view: View) -> None:
     """Rings and numbers at the largest patches that stay unscanned, on the sides that show them."""
     patches = sorted(plan.unscanned, key=lambda p: -p.area)[:MOST_PATCHES]
     if not patches:
@@ -90,7 +98,7 @@ def _patches(ax: "Axes", plan: Any, view: View) -> None:
         )  # fmt: skip
 
 
-def _views(part: Any, pixels: int = 420) -> list[View]:
+def _views(part: Part, pixels: int = 420) -> list[View]:
     """SIDES in one scale, `pixels` for the longest side among them; fewer where a cloud would show gaps."""
     if not part.is_mesh:
         few = part.vertices[:: max(1, len(part.vertices) // 2000)]
@@ -108,7 +116,7 @@ def _gallery(views: list[View], rows: int) -> tuple["Figure", np.ndarray]:
     return figure, figure.subplots(rows, len(views), squeeze=False, width_ratios=widths)
 
 
-def hole_figure(part: Any, report: Any) -> "Figure":
+def hole_figure(part: Part, report: HoleReport) -> "Figure":
     """Six sides of the part with the boundary of each hole, coloured by kind and numbered."""
     views = _views(part)
     figure, axes = _gallery(views, 1)
@@ -130,13 +138,15 @@ def hole_figure(part: Any, report: Any) -> "Figure":
     return figure
 
 
-def reach_figure(plan: Any) -> "Figure":
+def reach_figure(plan: Plan) -> "Figure":
     """Viewpoints of a plan round the part; colour says served, or why not."""
     radius = plan.cell.settings.turntable.diameter_m / 2
     return reach_map(plan.viewpoints, causes_of(plan), plan.part, radius)
 
 
-def reach_map(views: Any, causes: dict[str, str], part: Any, table_radius: float) -> "Figure":
+def reach_map(
+    views: Sequence[Viewpoint], causes: Mapping[str, str], part: Part | None, table_radius: float
+) -> "Figure":
     """Viewpoints from above and from the side.
 
     Args:
@@ -164,7 +174,7 @@ def reach_map(views: Any, causes: dict[str, str], part: Any, table_radius: float
     return figure
 
 
-def causes_of(plan: Any) -> dict[str, str]:
+def causes_of(plan: Plan) -> dict[str, str]:
     """For each viewpoint "served" or the cause for which it was left out."""
     lost = dict(plan.unreachable)
     causes = {}
@@ -175,7 +185,7 @@ def causes_of(plan: Any) -> dict[str, str]:
     return causes
 
 
-def _silhouette(above: "Axes", beside: "Axes", part: Any, radius: float) -> None:
+def _silhouette(above: "Axes", beside: "Axes", part: Part | None, radius: float) -> None:
     points = np.zeros((0, 3)) if part is None else part.vertices[:: max(1, len(part.vertices) // 4000)]
     if part is not None and part.is_mesh:
         points = surface_samples(part, 8000, rng=np.random.default_rng(0)).points
@@ -193,24 +203,25 @@ def _silhouette(above: "Axes", beside: "Axes", part: Any, radius: float) -> None
     )
 
 
-def cell_figure(plan: Any, X_WS: np.ndarray) -> "Figure":
+def cell_figure(cell: Cell, trajectory: Trajectory, X_WS: np.ndarray) -> "Figure":
     """The way of the scanner's optical centre in the cell, from above and from the side.
 
     Args:
-        plan: a plan with a trajectory.
+        cell: robot and table.
+        trajectory: what the robot drives.
         X_WS: pose of S at each time of the trajectory, shape (N, 4, 4).
     """
     figure = new_figure(10.0, 3.4)
     views = figure.subplots(1, 2)
-    p, trajectory = X_WS[:, :3, 3], plan.trajectory
+    p = X_WS[:, :3, 3]
     for operation in trajectory.operations:
         inside = (trajectory.t >= operation.t_start) & (trajectory.t <= operation.t_end)
         colour = palette.OPERATION_COLOURS[operation.kind]
         still = np.ptp(p[inside], axis=0).max() < 1e-6
         for ax, second in zip(views, (1, 2), strict=True):
             ax.plot(p[inside, 0], p[inside, second], "o" if still else "-", color=colour, ms=4, lw=1.2)
-    table, base = plan.cell.X_WT[:3, 3], plan.cell.X_WB[:3, 3]
-    radius, turn = plan.cell.settings.turntable.diameter_m / 2, np.linspace(0.0, 2.0 * np.pi, 100)
+    table, base = cell.X_WT[:3, 3], cell.X_WB[:3, 3]
+    radius, turn = cell.settings.turntable.diameter_m / 2, np.linspace(0.0, 2.0 * np.pi, 100)
     views[0].plot(table[0] + radius * np.cos(turn), table[1] + radius * np.sin(turn), color="#b0b0b0")
     views[1].plot(table[0] + radius * np.array([-1, 1]), table[[2, 2]], color="#b0b0b0", lw=2)
     for ax, second, name in zip(views, (1, 2), "yz", strict=True):

@@ -1,10 +1,11 @@
 """When each piece of the surface is first seen while a plan runs."""
 
-from typing import Any
-
 import numpy as np
 
+from scanmotion.cell.build import Cell
 from scanmotion.cell.kinematics import scanner_poses
+from scanmotion.core.trajectory import Trajectory
+from scanmotion.planning.plan import Plan
 from scanmotion.sensing.simulator.captures import captures_from_trajectory
 from scanmotion.sensing.visibility import scene_from, seen_by_any
 
@@ -14,7 +15,7 @@ _FRAMES = 4
 """Frames looked at in one slice."""
 
 
-def first_sight(plan: Any) -> tuple[np.ndarray, np.ndarray]:
+def first_sight(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     """When the scanner first sees each surface sample, by the nominal poses of the plan.
 
     Args:
@@ -26,10 +27,11 @@ def first_sight(plan: Any) -> tuple[np.ndarray, np.ndarray]:
         between those looked at counts for the last slice of its step.
     """
     ends, spans, steps = _slices(plan)
-    first = np.full(len(plan.samples.points), -1)
-    if not ends or plan.seen is None:
+    samples, trajectory = plan.samples, plan.trajectory
+    first = np.full(0 if samples is None else len(samples.points), -1)
+    if not ends or plan.seen is None or samples is None or trajectory is None:
         return np.zeros(0), first
-    t, X_OS = _poses(plan)
+    t, X_OS = _poses(plan.cell, trajectory)
     settings, part = plan.cell.settings, plan.part
     scene = scene_from(
         part.vertices, part.triangles, table_radius=settings.turntable.diameter_m / 2,
@@ -39,14 +41,11 @@ def first_sight(plan: Any) -> tuple[np.ndarray, np.ndarray]:
     rest = np.flatnonzero(plan.seen)
     for k, span in enumerate(spans):
         frames = _frames(t, *span)
-        seen = seen_by_any(
-            scene, scanner, X_OS[frames], plan.samples.points[rest], plan.samples.normals[rest]
-        )
+        seen = seen_by_any(scene, scanner, X_OS[frames], samples.points[rest], samples.normals[rest])
         first[rest[seen]] = k
         rest = rest[~seen]
-    glob = next((r.seen for r in reversed(plan.segments) if r.step == "global"), np.zeros(len(first), bool))
     last = max((k for k, step in enumerate(steps) if step == "global"), default=len(ends) - 1)
-    first[rest] = np.where(glob[rest], last, len(ends) - 1)
+    first[rest] = np.where(plan.seen_globally[rest], last, len(ends) - 1)
     return np.array(ends), first
 
 
@@ -56,7 +55,7 @@ def _frames(t: np.ndarray, start: float, end: float) -> np.ndarray:
     return frames[np.unique(np.linspace(0, len(frames) - 1, _FRAMES).astype(int))] if len(frames) else frames
 
 
-def _slices(plan: Any) -> tuple[list[float], list[tuple[float, float]], list[str]]:
+def _slices(plan: Plan) -> tuple[list[float], list[tuple[float, float]], list[str]]:
     """The end, the span and the step of each slice of scanning, in order."""
     step_of = {view.id: view.step for view in plan.viewpoints}
     ends, spans, steps = [], [], []
@@ -71,11 +70,10 @@ def _slices(plan: Any) -> tuple[list[float], list[tuple[float, float]], list[str
     return ends, spans, steps
 
 
-def _poses(plan: Any) -> tuple[np.ndarray, np.ndarray]:
+def _poses(cell: Cell, trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Times and poses in the object of all frames."""
-    cell = plan.cell
     captures = captures_from_trajectory(
-        plan.trajectory, lambda q: scanner_poses(cell, q), fps=cell.settings.process.fps,
+        trajectory, lambda q: scanner_poses(cell, q), fps=cell.settings.process.fps,
         X_WT=cell.X_WT, X_TO=cell.X_TO,
     )  # fmt: skip
     return captures.t, captures.X_OS

@@ -1,30 +1,29 @@
 """Shaded orthographic pictures of a mesh or a cloud, and what became of each piece of its surface."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.part import Part, SurfaceSamples
+from scanmotion.planning.plan import Plan
 from scanmotion.report.figures.palette import HIDDEN, MISSED, SEEN_GLOBAL, SEEN_LOCAL, STATUS_COLOURS, rgb
 
 STATUS_RGB = np.array([rgb(c) for c in STATUS_COLOURS])
 
 
-def status_of_samples(plan: Any, *, after: str = "final") -> np.ndarray:
+def status_of_samples(plan: Plan, *, after: str = "final") -> np.ndarray:
     """What became of each surface sample of a plan, shape (n,) int, values of `palette`.
 
     Args:
         plan: a Plan whose part was scanned by the twin.
         after: "global" or "final": at which end.
     """
-    n = len(plan.samples.points)
-    first = next((r.seen for r in reversed(plan.segments) if r.step == "global"), np.zeros(n, bool))
+    assert plan.visible is not None
     status = np.where(plan.visible, MISSED, HIDDEN)
     if after == "final" and plan.seen is not None:
         status[plan.seen] = SEEN_LOCAL
-    status[first] = SEEN_GLOBAL
+    status[plan.seen_globally] = SEEN_GLOBAL
     return status
 
 
@@ -148,8 +147,7 @@ def _relief_normals(height: np.ndarray, hit: np.ndarray, view: View) -> np.ndarr
 
     weight = gaussian_filter(hit.astype(float), 1.5)
     smooth = gaussian_filter(np.where(hit, height, 0.0), 1.5) / np.maximum(weight, 1e-9)
-    slopes: Any = np.gradient(smooth, view.scale)
-    down, right = slopes
+    down, right = (np.gradient(smooth, view.scale, axis=k) for k in (0, 1))
     normals = view.toward - right[hit][:, None] * view.right + down[hit][:, None] * view.up
     return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 

@@ -25,8 +25,8 @@ def reference_part(path: Path, units: str) -> Part:
     """
     raw = read_geometry(path)
     scale = _scale(units)
-    _check(raw.vertices, path)
     if not len(raw.triangles):
+        _check(raw.vertices, path)
         return Part(
             name=path.stem, vertices=raw.vertices * scale, triangles=np.zeros((0, 3), int),
             normals=_unit(raw.normals), closed=False,
@@ -48,7 +48,8 @@ def measured_cloud(path: Path, units: str) -> tuple[np.ndarray, np.ndarray]:
     raw = read_geometry(path)
     scale = _scale(units)
     if len(raw.triangles):
-        _check(raw.vertices, path)
+        if not np.isfinite(raw.vertices).all():
+            raise InputError(f"{path}: vertices that are not finite numbers")
         part = Part(name=path.stem, vertices=raw.vertices * scale, triangles=raw.triangles)
         samples = surface_samples(part, _SAMPLES, rng=np.random.default_rng(0))
         return samples.points, samples.normals

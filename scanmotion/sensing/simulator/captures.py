@@ -9,6 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.trajectory import Trajectory
+from scanmotion.geometry.se3 import displacements as motion
+from scanmotion.geometry.se3 import inverse_poses as inverse
+from scanmotion.geometry.se3 import turns_about_z as turned
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -245,29 +248,3 @@ def true_poses(captures: Captures, errors: ScanErrors, rng: np.random.Generator)
     angle = captures.table_angle - 0.5 * errors.backlash_rad * sense
     X_WO = captures.X_WT @ axis @ turned(angle) @ captures.X_TO
     return inverse(X_WO) @ captures.X_WS @ motion(noise) @ hand_eye
-
-
-def motion(twist: np.ndarray) -> np.ndarray:
-    """Poses from displacements and rotation vectors, (n, 6) [m, rad] -> (n, 4, 4)."""
-    X = np.tile(np.eye(4), (len(twist), 1, 1))
-    X[:, :3, 3] = twist[:, :3]
-    X[:, :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix()
-    return X
-
-
-def turned(angle: np.ndarray) -> np.ndarray:
-    """Turns about z, (n,) [rad] -> (n, 4, 4)."""
-    X = np.tile(np.eye(4), (len(angle), 1, 1))
-    c, s = np.cos(angle), np.sin(angle)
-    X[:, 0, 0], X[:, 0, 1], X[:, 1, 0], X[:, 1, 1] = c, -s, s, c
-    return X
-
-
-def inverse(X: np.ndarray) -> np.ndarray:
-    """Inverse poses, shape (n, 4, 4)."""
-    Y = np.zeros_like(X)
-    Rt = np.swapaxes(X[:, :3, :3], 1, 2)
-    Y[:, :3, :3] = Rt
-    Y[:, :3, 3] = -np.einsum("nij,nj->ni", Rt, X[:, :3, 3])
-    Y[:, 3, 3] = 1.0
-    return Y

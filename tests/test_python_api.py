@@ -1,0 +1,141 @@
+"""The Python API: parts from what is in hand, own viewpoints and orders, wrong types in one line, editors."""
+
+import itertools
+import subprocess
+import sys
+
+import numpy as np
+import open3d as o3d
+import pytest
+import trimesh
+from test_plan import TINY
+
+import scanmotion as sm
+from scanmotion.core.errors import CellError, InputError, PartError
+from scanmotion.motion.order.given_order import given_order
+from scanmotion.motion.order.stops import dwell_group
+from scanmotion.motion.transit_cost import move_matrix, move_model
+
+BOX = trimesh.creation.box(extents=(100.0, 120.0, 140.0))
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        BOX,
+        o3d.geometry.TriangleMesh(
+            o3d.utility.Vector3dVector(BOX.vertices), o3d.utility.Vector3iVector(BOX.faces)
+        ),
+        (np.asarray(BOX.vertices), np.asarray(BOX.faces)),
+    ],
+    ids=["trimesh", "open3d", "arrays"],
+)
+def test_the_same_box_from_any_hand(source):
+    part = sm.part_from(source, units="mm", name="box")
+    assert part.closed and len(part.triangles) == 12
+    assert np.allclose(part.bounds, [[-0.05, -0.06, 0.0], [0.05, 0.06, 0.14]])
+
+
+def test_a_cloud_keeps_its_normals():
+    points, face = trimesh.sample.sample_surface(BOX, 3000, seed=1)
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    cloud.normals = o3d.utility.Vector3dVector(BOX.face_normals[face])
+    part = sm.part_from(cloud, units="mm")
+    assert not part.is_mesh and part.normals is not None
+    assert np.allclose(np.abs(part.normals).max(axis=1), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("source", "units", "words"),
+    [
+        (BOX, None, "in which unit"),
+        (BOX, "miles", "unknown unit"),
+        (17, "mm", "cannot be made from a int"),
+        (np.zeros((3, 2)), "mm", "points of shape"),
+        ((np.zeros((3, 3)), np.zeros((1, 3))), "mm", "integers"),
+        ((BOX.vertices, np.array([[0, 1, 99]])), "mm", "vertex 99"),
+    ],
+)
+def test_what_is_no_part_is_refused_in_one_line(source, units, words):
+    with pytest.raises(PartError, match=words) as told:
+        sm.part_from(source, units=units)
+    assert "\n" not in str(told.value)
+
+
+def views() -> list[sm.Viewpoint]:
+    places = {"front": (0.6, 0.0, 0.3), "side": (0.0, 0.6, 0.3), "back": (-0.6, 0.0, 0.3)}
+    return [
+        sm.Viewpoint(
+            id=name, X_OS=sm.look_at(np.array(p), np.array([0, 0, 0.07]) - p), standoff=0.55, step="local",
+            kind="station",
+        )
+        for name, p in places.items()
+    ]  # fmt: skip
+
+
+def test_own_viewpoints_are_visited_as_given(tmp_path):
+    made = sm.plan(
+        sm.part_from(BOX, units="mm"), "kr240", viewpoints=views(), order="given",
+        options=sm.PlanOptions(seed=1, **TINY),
+    )  # fmt: skip
+    served = [v for o in made.trajectory.operations if o.kind == "dwell" for v in o.viewpoints]
+    assert served == ["front", "side", "back"]
+    made.save(tmp_path / "out")
+    assert sm.verify(tmp_path / "out") == []
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"viewpoints": []}, "there is none"),
+        ({"viewpoints": ["front"]}, "a str is no Viewpoint"),
+        ({"viewpoints": [*views(), views()[0]]}, "'front' is there twice"),
+        ({"viewpoints": views(), "order": "random"}, "known: fastest, given"),
+    ],
+)
+def test_wrong_viewpoints_are_refused(changed, words):
+    with pytest.raises(InputError, match=words):
+        sm.plan(sm.box_part(0.1, 0.12, 0.14), "kr240", **changed)
+
+
+def test_a_wrong_cell_is_one_line():
+    with pytest.raises(CellError, match="a int is no cell"):
+        sm.plan(sm.box_part(0.1, 0.12, 0.14), 7)
+
+
+def test_ways_of_a_given_order_are_the_best_by_brute_force(kr240_cell, rng):
+    model = move_model(kr240_cell)
+    found = sm.reach(kr240_cell, views())
+    groups = [dwell_group(r, model, (-6.0, 6.0)) for r in found]
+    few = [g.only(rng.choice(len(g), size=min(6, len(g)), replace=False)) for g in groups]
+    start = kr240_cell.home
+
+    def cost(ways) -> float:
+        total = move_matrix(model, start, few[0].enter)[0, ways[0]] + few[0].seconds[ways[0]]
+        for a, b, w, v in zip(few, few[1:], ways, ways[1:], strict=False):
+            total += move_matrix(model, a.leave, b.enter)[w, v] + b.seconds[v]
+        return float(total)
+
+    order, ways = given_order(few, [r.viewpoint.id for r in found], model, start)
+    assert order == [0, 1, 2]
+    every = itertools.product(*(range(len(g)) for g in few))
+    assert cost(ways) == pytest.approx(min(cost(w) for w in every), abs=1e-9)
+
+
+def test_short_names_for_people():
+    assert repr(sm.box_part(0.1, 0.12, 0.14)) == "Part('box', 12 triangles, 100 x 120 x 140 mm)"
+    assert repr(views()[0]) == "Viewpoint('front', station, at (600, 0, 300) mm, 550 mm off)"
+
+
+def test_editors_see_the_public_names(tmp_path):
+    """pyright infers types of all public names from the package as it is installed."""
+    script = tmp_path / "user.py"
+    lines = ["import scanmotion as sm", "plan = sm.plan(sm.carving(), sm.load_cell('kr240'))"]
+    lines += ["reveal_type(plan)", "plan.nothing_like_it"]
+    lines += [f"sm.{name}" for name in sm.__all__]
+    script.write_text("\n".join(lines) + "\n")
+    command = [sys.executable, "-m", "pyright", "--pythonpath", sys.executable, str(script)]
+    out = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path).stdout
+    assert 'Type of "plan" is "Plan"' in out, out
+    errors = [line for line in out.splitlines() if " error:" in line]
+    assert len(errors) == 1 and "nothing_like_it" in errors[0], out
