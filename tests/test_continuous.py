@@ -17,6 +17,7 @@ from scanmotion.motion.continuous.options import ContinuousOptions
 from scanmotion.motion.continuous.table_travel import MOST_PIECES, angle_at, pieces_of
 from scanmotion.motion.timing.path import turns_in
 from scanmotion.plan_io.read import read_json
+from scanmotion.plan_io.save import judged
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.planning.replan import replan
 from scanmotion.sensing.sight import cell_of, masks_of, octahedral, sight_from, unpacked
@@ -92,7 +93,7 @@ def test_the_search_and_the_drive_agree_on_the_tables_angle(kr240_cell, total):
 
 
 def test_a_continuous_plan_passes_the_judge(moving, saved):
-    assert moving.findings == ()
+    assert judged(moving, judge=verify).findings == ()
     (operation,) = moving.trajectory.operations
     assert operation.kind == "path" and operation.scanning
     assert moving.completeness()["final"] > 0.9
@@ -119,7 +120,7 @@ def test_the_judge_sees_a_path_that_is_driven_too_fast(moving):
         t, t=t.t * faster, qd=t.qd / faster, qdd=t.qdd / faster**2,
         operations=(replace(o, t_end=o.t_end * faster),),
     )  # fmt: skip
-    codes = {f.code for f in replace(moving, trajectory=quick).findings}
+    codes = {f.code for f in judged(replace(moving, trajectory=quick), judge=verify).findings}
     assert {"tcp_speed", "velocity"} <= codes
 
 
@@ -130,7 +131,7 @@ def test_the_judge_misses_a_viewpoint_that_a_path_does_not_pass(moving):
     X[2, 3] += 0.02
     reaches = (replace(segment.reaches[0], viewpoint=away.moved(X)), *segment.reaches[1:])
     wrong = replace(moving, segments=(replace(segment, reaches=reaches),))
-    assert any(f.code == "viewpoint" and f.where == away.id for f in wrong.findings)
+    assert any(f.code == "viewpoint" and f.where == away.id for f in judged(wrong, judge=verify).findings)
 
 
 @pytest.fixture(scope="module")
