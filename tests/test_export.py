@@ -100,7 +100,7 @@ def test_the_command_line_says_what_it_wrote(to, folder, tmp_path):
 @pytest.mark.parametrize(
     "args, word",
     [
-        (["--to", "step"], "csv, json, viewpoints, krl, krl-timed, ros, mcap"),
+        (["--to", "step"], "csv, json, viewpoints, krl, krl-timed, rapid, ros, mcap"),
         (["--to", "csv", "--name", "../evil"], "--name"),
         (["--to", "json", "--name", "plan"], "plan.json"),
         (["--to", "json", "--name", "TRAJECTORY"], "TRAJECTORY.json"),

@@ -20,6 +20,9 @@ from scanmotion.geometry.parts import box_part
 from scanmotion.motion.reach.find import ReachOptions, reach
 from scanmotion.planning.pipeline import PlanOptions, plan
 
+HOME = np.array([0.0, -2.04499919, 2.51461644, 0.0, 0.31578091, -np.pi, 0.0])
+"""The scanner level before the table, free of everything [rad]."""
+
 
 def moved(q: np.ndarray, step_s: float = 0.01) -> Trajectory:
     """Samples (n, 7), whatever their speed."""
@@ -65,7 +68,7 @@ def test_agrees_with_fcl_on_random_motions(cell, judge, second):
     rng = np.random.default_rng(4)
     process, caught = cell.settings.process, 0
     for _ in range(24):
-        ends = cell.home + rng.normal(size=(2, 7)) * np.array([0.35, 0.3, 0.3, 0.8, 0.6, 0.8, 2.0])
+        ends = HOME + rng.normal(size=(2, 7)) * np.array([0.35, 0.3, 0.3, 0.8, 0.6, 0.8, 2.0])
         q = straight(*np.clip(ends, cell.q_min, cell.q_max), 9)
         found = judge.judge(moved(q)).findings
         fine = np.array([second.distances(row) for row in straight(q[0], q[-1], 121)])
@@ -82,7 +85,7 @@ def test_a_thin_plate_between_two_samples_is_hit():
     """Neither sample touches the plate; the straight motion between them goes through it."""
     plate = {"name": "plate", "centre_m": [1.1, 0.0, 2.0], "size_m": [0.8, 0.004, 1.6], "yaw_deg": 0.0}
     cell = build_cell(settings_from({"obstacles": [plate]}), trough())
-    q = np.tile(cell.home, (2, 1))
+    q = np.tile(HOME, (2, 1))
     q[:, 0] = [-0.6, 0.6]
     judge = DrakeJudge(cell)
     for row in q:
@@ -106,7 +109,7 @@ def test_the_part_is_judged_by_its_triangles_not_by_its_hull(cell, judge, second
 
 def test_what_comes_too_near_is_told_with_its_distance(cell, judge, second):
     """The arm bends down until it is nearer to something than the clearance but does not touch it."""
-    low, high, q = 0.0, 0.0, cell.home.copy()
+    low, high, q = 0.0, 0.0, HOME.copy()
 
     def at(x: float) -> np.ndarray:
         row = q.copy()
@@ -140,13 +143,13 @@ def test_the_arm_against_itself(cell, judge):
 
 
 def test_one_sample_and_none_of_motion(cell, judge):
-    one = judge.judge(moved(cell.home[None]))
+    one = judge.judge(moved(HOME[None]))
     assert one.findings == () and one.way_m == 0.0
 
 
 def test_an_obstacle_that_the_plan_does_not_know(cell, judge):
     """The same motion, judged in a cell with an obstacle in its way that the planner's cell has not."""
-    q = np.tile(cell.home, (30, 1))
+    q = np.tile(HOME, (30, 1))
     q[:, 0] += np.linspace(0.0, -0.8, 30)
     assert judge.judge(moved(q)).findings == ()
     box = {"name": "post", "centre_m": [0.75, 1.0, 1.9], "size_m": [0.3, 0.3, 1.9], "yaw_deg": 0.0}

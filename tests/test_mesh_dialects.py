@@ -150,3 +150,24 @@ def test_3mf_in_inches(tmp_path):
     part = part_from_file(tmp_path / "i.3mf")
     assert part.report.units == "in"
     assert is_the_lump(part, tolerance=1e-5) == pytest.approx(TRUE, rel=1e-4)
+
+
+def test_damaged_dialects_end_in_a_part_or_a_line(tmp_path):
+    import warnings
+
+    from test_cloud_dialects import CLOUDS
+    from test_fuzz import damaged
+
+    from scanmotion.core.errors import PartError
+
+    rng = np.random.default_rng(1)
+    for name, whole in {**MESHES, **CLOUDS}.items():
+        (tmp_path / name).write_bytes(damaged(whole, rng))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                part = part_from_file(tmp_path / name, guess=True)
+        except PartError as error:
+            assert "\n" not in str(error)
+        else:
+            assert np.isfinite(part.vertices).all()

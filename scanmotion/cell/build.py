@@ -92,6 +92,8 @@ def build_cell(settings: CellSettings, part: Part | None = None) -> Cell:
     table = settings.turntable
     X_FZ = _outward(settings, robot)
     X_WB = pose(settings.base.position_m, np.deg2rad(settings.base.yaw_deg))
+    if settings.base.X_WB is not None:
+        X_WB = np.array(settings.base.X_WB)
     known = settings.calibration
     X_WT = _shifted(pose((*table.position_m, table.height_m)), (*known.axis_mm, 0.0), (*known.axis_deg, 0.0))
     limits = _limits(settings, robot)
@@ -164,6 +166,9 @@ def tool_pose(settings: CellSettings) -> np.ndarray:
     from above.
     """
     tool = settings.tool
+    if tool.X_FS is not None:
+        known = settings.calibration
+        return _shifted(np.array(tool.X_FS), known.hand_eye_mm, known.hand_eye_deg)
     t, r = np.deg2rad(tool.tilt_deg), np.deg2rad(tool.roll_deg)
     X_FS = np.eye(4)
     tilt = np.array([[np.cos(t), 0, np.sin(t)], [0, 1, 0], [-np.sin(t), 0, np.cos(t)]])
@@ -246,7 +251,7 @@ def _tool_bodies(settings: CellSettings, X_FZ: np.ndarray) -> list[Body]:
     for side in (-1.0, 1.0):
         a, b = np.array([0.0, side * 0.06, 0.02]), end + np.array([0.0, side * 0.055, 0.0])
         z = (b - a) / np.linalg.norm(b - a)
-        x = np.cross([0.0, 1.0, 0.0], z)
+        x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
         x /= np.linalg.norm(x)
         X = np.eye(4)
         X[:3, :3], X[:3, 3] = np.column_stack([x, np.cross(z, x), z]), (a + b) / 2

@@ -11,7 +11,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 def _number(value: Any) -> Any:
     """Refuses what YAML lets through as a number's stand-in: true, "0.7 m", nan."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"a number is expected, not {str(value)[:40]!r}")
+        comma = isinstance(value, str) and value.replace(",", "", 1).lstrip("+-").isdigit()
+        hint = "; write a decimal point, not a comma" if comma else ""
+        raise ValueError(f"a number is expected, not {str(value)[:40]!r}{hint}")
     if not math.isfinite(value):
         raise ValueError(f"{value} is not finite")
     return float(value)

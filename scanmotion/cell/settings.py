@@ -16,6 +16,7 @@ from scanmotion.cell.error_settings import (
     TwinSettings,
     UncertaintySettings,
 )
+from scanmotion.cell.pose_settings import RigidPose, differs
 from scanmotion.cell.programme_settings import ProgrammeSettings
 from scanmotion.cell.scanner_presets import with_scanner_preset
 from scanmotion.core.errors import CellError
@@ -64,6 +65,15 @@ class BaseSettings(Settings):
 
     position_m: tuple[Number, Number, Number] = Field((0.0, 0.0, 0.0), description="base in the world")
     yaw_deg: Number = Field(0.0, ge=-360.0, le=360.0, description="turn of the base about the vertical")
+    X_WB: RigidPose = Field(
+        None, description="base in the world as calibrated, in place of both: four rows, metres"
+    )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> "BaseSettings":
+        if self.X_WB is not None and (any(self.position_m) or self.yaw_deg):
+            raise ValueError("X_WB stands in place of position_m and yaw_deg; write the one or the others")
+        return self
 
 
 class ToolSettings(Settings):
@@ -76,10 +86,22 @@ class ToolSettings(Settings):
     )
     roll_deg: Number = Field(0.0, ge=-180.0, le=180.0, description="scanner turned about its optical axis")
     mass_kg: Number = Field(5.0, gt=0.0, le=1000.0, description="fixture and scanner together")
+    X_FS: RigidPose = Field(
+        None,
+        description="scanner in the flange (z outward) as calibrated, in place of the four: rows, metres",
+    )
     plate_m: Number = Field(0.16, gt=0.0, le=1.0, description="diameter of the fixture's plate on the flange")
     scanner_size_m: tuple[Number, Number, Number] = Field(
         (0.262, 0.158, 0.063), description="housing along x, y, z of the scanner"
     )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> "ToolSettings":
+        if self.X_FS is not None and differs(self, "arm_m", "offset_m", "tilt_deg", "roll_deg"):
+            raise ValueError(
+                "X_FS stands in place of arm_m, offset_m, tilt_deg and roll_deg; write the one or the others"
+            )
+        return self
 
 
 class TurntableSettings(Settings):

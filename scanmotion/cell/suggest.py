@@ -72,7 +72,7 @@ def suggestion(path: Path, packages: tuple[str, ...] = ()) -> Suggestion:
     told += [
         f"chain: {', '.join(joints)} to {link}",
         "closed form found: all branches" if closed else search,
-        *(f"{n}: endless, bounded by robot.endless_deg" for n, e in zip(joints, endless, strict=True) if e),
+        *(f"{n}: 360 deg each way (robot.endless_deg)" for n, e in zip(joints, endless, strict=True) if e),
         "accelerations are not in a URDF: full speed in 0.6 s is guessed",
         *robot.notes,
     ]  # fmt: skip

@@ -157,7 +157,9 @@ def _rest_folder(folder: Path, out: Path | None, step: int | None, at: str | Non
 
 def export(
     folder: Folder,
-    to: Annotated[str, typer.Option("--to", help="csv, json, viewpoints, krl, krl-timed, ros or mcap.")],
+    to: Annotated[
+        str, typer.Option("--to", help="csv, json, viewpoints, krl, krl-timed, rapid, ros or mcap.")
+    ],
     out: Annotated[
         Path | None,
         typer.Option("--out", help="Where to write; by default the plan's folder.", rich_help_panel=OUT),

@@ -19,11 +19,12 @@ _WRITERS = {
     "viewpoints": "viewpoints.viewpoint_files",
     "krl": "krl.programme.classic_files",
     "krl-timed": "krl.programme.timed_files",
+    "rapid": "rapid.rapid_files",
     "ros": "ros.yaml_files",
     "mcap": "ros.bag_files",
 }
 FORMATS = tuple(_WRITERS)
-PROGRAMMES = ("krl", "krl-timed")
+PROGRAMMES = ("krl", "krl-timed", "rapid")
 """Formats that a robot's controller runs."""
 
 

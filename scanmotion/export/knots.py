@@ -81,3 +81,33 @@ def spline_knots(
         if not fresh:
             return knots, float(away.max())
         knots = np.unique([*knots, *(k for _, k in fresh)])
+
+
+def timed_knots(
+    t: np.ndarray, q: np.ndarray, tolerance: float, *, shortest: float, longest: float
+) -> np.ndarray:
+    """Samples between which even motion in time follows a motion within a tolerance.
+
+    Args:
+        t: times, shape (n,) [s].
+        q: positions, shape (n, k).
+        tolerance: greatest deviation of any component, where `shortest` allows it.
+        shortest: no two knots are closer [s].
+        longest: no two knots are farther apart [s].
+
+    Returns:
+        Indices of the knots, the first and last sample among them.
+    """
+    kept, spans = {0, len(t) - 1}, [(0, len(t) - 1)]
+    while spans:
+        a, b = spans.pop()
+        if b - a < 2 or t[b] - t[a] < 2 * shortest:
+            continue
+        share = ((t[a:b] - t[a]) / (t[b] - t[a]))[:, None]
+        away = np.abs(q[a] + share * (q[b] - q[a]) - q[a:b]).max()
+        if away <= tolerance and t[b] - t[a] <= longest:
+            continue
+        middle = a + int(np.searchsorted(t[a : b + 1], (t[a] + t[b]) / 2))
+        kept.add(middle)
+        spans += [(a, middle), (middle, b)]
+    return np.array(sorted(kept))

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from scanmotion.core.errors import PartError
 from scanmotion.geometry.files.in_process import read_by_library
 from scanmotion.geometry.files.obj import read_obj, read_off
@@ -96,7 +98,9 @@ def _read(path: Path, suffix: str) -> RawGeometry:
     data = path.read_bytes()
     if kind == ".obj" and re.match(rb"\s*solid\b", head) and b"facet" in head:
         kind = ".stl"
-    raw = read_text_cloud(data, kind[1:].upper()) if kind in _TEXTS else _READERS[kind](data)
+    # Damaged numbers (signalling NaN, infinities) are found and said later; numpy need not warn of them.
+    with np.errstate(all="ignore"):
+        raw = read_text_cloud(data, kind[1:].upper()) if kind in _TEXTS else _READERS[kind](data)
     if kind != suffix:
         raw = replace(
             raw, notes=(f"its ending says {suffix[1:].upper()}, its content {raw.format}", *raw.notes)

@@ -19,11 +19,25 @@ from scanmotion.planning.plan import Plan
 __all__ = ["csv_text", "json_text", "plan_files", "plan_record", "trajectory_json"]
 
 
+def _lost(unreachable: tuple[tuple[str, str], ...]) -> str:
+    """How many viewpoints each cause took, the commonest first, each with one example."""
+    if not unreachable:
+        return "no viewpoint was asked for: what is scanned has nothing missing, or nothing that can be seen"
+    by_cause: dict[str, list[tuple[str, str]]] = {}
+    for name, reason in unreachable:
+        cause = reason.partition(": ")[0] if ": " in reason[:40] else "other"
+        by_cause.setdefault(cause, []).append((name, reason))
+    parts = [
+        f"{cause} {len(lost)} of {len(unreachable)} viewpoints ({lost[0][0]}: {lost[0][1]})"
+        for cause, lost in sorted(by_cause.items(), key=lambda item: -len(item[1]))
+    ]
+    return "; ".join(parts)
+
+
 def plan_files(plan: Plan) -> dict[str, bytes | str]:
     """The files of a plan folder but summary.json and the pages."""
     if plan.trajectory is None:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in plan.unreachable[:3])
-        raise InputError(f"nothing could be planned: {reasons}")
+        raise InputError(f"nothing could be planned: {_lost(plan.unreachable)}")
     solid, cycle = plan.cell.part, plan.cycle
     assert solid is not None and cycle is not None
     return {
@@ -37,6 +51,7 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
         "cell.json": plan.cell.settings.model_dump_json(indent=1) + "\n",
         "holes.json": json_text({"units": "m", "holes": hole_records(plan)}),
         "scan.npz": arrays_data(plan),
+        **frame_files(cycle, plan.viewpoints, plan.cell),
     }
 
 

@@ -15,12 +15,13 @@ from scanmotion.judge.motion import arm_from_urdf
 from scanmotion.judge.programme.krl import read_krl
 from scanmotion.judge.programme.machine import Machine
 from scanmotion.judge.programme.paths import Drive
+from scanmotion.judge.programme.rapid import read_rapid
 from scanmotion.judge.programme.statements import Programme
 from scanmotion.judge.programme.world import Run, World
 from scanmotion.plan_io.read import read_json, read_plan, read_text, read_trajectory
 from scanmotion.plan_io.schema import PlanRecord
 
-READERS: dict[str, Callable[[Path], Programme]] = {".src": read_krl}
+READERS: dict[str, Callable[[Path], Programme]] = {".src": read_krl, ".mod": read_rapid}
 """By the ending of a programme's main file."""
 
 

@@ -229,3 +229,13 @@ def _operated(sign: str, a: Any, b: Any) -> Any:
         }[sign]()  # fmt: skip
     except (TypeError, ZeroDivisionError):
         raise PlanFileError(f"{str(a)[:30]} {sign} {str(b)[:30]} has no value") from None
+
+
+_FIELDS = {"ROBAX": 0, "EXTAX": 1, "EAX_A": 0, **{f"RAX_{i}": i - 1 for i in range(1, 7)}}
+
+
+def member(value: Any, field: str) -> Any:
+    """A component of a record: KRL's by name, RAPID's by place."""
+    for word in field.split("."):
+        value = value[word] if isinstance(value, dict) else value[_FIELDS[word]]
+    return value

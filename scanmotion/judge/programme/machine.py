@@ -11,25 +11,12 @@ import numpy as np
 
 from scanmotion.core.errors import PlanFileError
 from scanmotion.judge.programme import statements as st
-from scanmotion.judge.programme.expressions import Name, value_of
-from scanmotion.judge.programme.motions import AXES, Ended, Mover
+from scanmotion.judge.programme.expressions import Name, member, value_of
+from scanmotion.judge.programme.motions import AXES, Ended, Left, Mover, Resumed, Returned, Stopped
 from scanmotion.judge.programme.paths import TICK_S, Drive
 from scanmotion.judge.programme.world import Run, World
 
 _MOST_STATEMENTS, _MOST_S, _MOST_DEEP = 400_000, 20_000.0, 40
-
-
-class _Left(Exception):
-    """EXIT."""
-
-
-class _Returned(Exception):
-    """RETURN."""
-
-
-class _Resumed(Exception):
-    def __init__(self, depth: int) -> None:
-        self.depth = depth
 
 
 @dataclass(eq=False, kw_only=True)
@@ -47,6 +34,8 @@ class _Watch:
     condition: Any
     routine: str
     scope: _Scope
+    period: float = 0.0
+    due: float = 0.0
     on: bool = False
     was: bool = False
     busy: bool = False
@@ -87,7 +76,7 @@ class Machine(Mover):
             self._flush()
         except Ended:
             ended = False
-        except (_Left, _Returned, _Resumed):
+        except (Left, Returned, Resumed):
             raise PlanFileError(f"{self.programme.main}: leaves what it is not in") from None
         t, q, step, on = zip(*self.rows, strict=True)
         return Run(
@@ -111,10 +100,26 @@ class Machine(Mover):
         )  # fmt: skip
         try:
             self._body(routine.body)
-        except _Returned:
+        except Returned:
             pass
+        except Stopped:
+            if not routine.handler:
+                raise
+            self.chain, self.marks = [], []
+            self._handled(routine.handler)
         finally:
             self.scopes.pop()
+
+    def _handled(self, handler: tuple[st.Statement, ...]) -> None:
+        try:
+            self._body(handler)
+        except Returned:
+            pass
+
+    def _do_raise(self, s: st.Raise) -> None:
+        self._do_brake(st.Brake(line=s.line))
+        self.braked = False
+        raise Stopped
 
     def _is_file(self, name: str) -> bool:
         return name == self.programme.main or any(k.startswith(f"{name}.") for k in self.programme.routines)
@@ -149,7 +154,7 @@ class Machine(Mover):
         if word in scope.values or word in self.data:
             found = scope.values[word] if word in scope.values else self.data[word]
             found = found[index] if index is not None else found
-            return found[name.field] if name.field else found
+            return member(found, name.field) if name.field else found
         if word == "$IN":
             return self.world.input(int(index or 0), self.t)
         if word == "$TIMER":
@@ -167,6 +172,9 @@ class Machine(Mover):
         raise PlanFileError(f"{word}{'' if index is None else f'[{index}]'} is not known")
 
     def _function(self, name: str, arguments: list[Any]) -> Any:
+        if name == "CJOINTT":
+            self._flush()
+            return [self.q[:6].tolist(), [float(self.q[6]), *[9e9] * 5]]
         if name == "ABS":
             return abs(arguments[0])
         if name == "SET_KRLMSG":
@@ -243,7 +251,7 @@ class Machine(Mover):
                 self._body(s.body)
                 if not s.body:
                     raise PlanFileError("an empty loop")
-        except _Left:
+        except Left:
             pass
 
     def _do_for(self, s: st.For) -> None:
@@ -253,10 +261,10 @@ class Machine(Mover):
             self._body(s.body)
 
     def _do_exit(self, s: st.Exit) -> None:
-        raise _Left
+        raise Left
 
     def _do_return(self, s: st.Return) -> None:
-        raise _Returned
+        raise Returned
 
     def _do_nothing(self, s: st.Nothing) -> None:
         pass
@@ -265,11 +273,14 @@ class Machine(Mover):
         scope = self.scopes[-1]
         try:
             self._call(s.name, [self.value(a) for a in s.arguments], scope.file)
-        except _Resumed as resumed:
+        except Resumed as resumed:
             if resumed.depth != scope.depth:
                 raise
 
     def _system_call(self, name: str, arguments: list[Any]) -> None:
+        if name == "SETGO" and len(arguments) == 2:
+            self._flush()
+            return self._event("word", number=int(arguments[1]), text=f"{int(arguments[0])}..")
         if name != "BAS" or len(arguments) != 2 or arguments[0] not in ("#INITMOV", "#TOOL", "#BASE"):
             raise PlanFileError(f"{name} is not known")
         what, n = arguments[0], int(arguments[1])
@@ -334,12 +345,13 @@ class Machine(Mover):
         if s.what == "decl":
             if s.number != 3:
                 self.watches[s.number] = _Watch(
-                    condition=s.condition, routine=s.routine, scope=self.scopes[-1]
-                )
+                    condition=s.condition, routine=s.routine, scope=self.scopes[-1],
+                    period=0.0 if s.period is None else float(self.value(s.period)),
+                )  # fmt: skip
         elif s.number != 3:
             watch = self.watches[s.number]
-            watch.on = s.what == "on"
-            watch.was = bool(self.value(watch.condition))
+            watch.on, watch.due = s.what == "on", self.t + watch.period
+            watch.was = watch.period == 0 and bool(self.value(watch.condition))
 
     def _do_resume(self, s: st.Resume) -> None:
         self.chain, self.marks = [], []
@@ -347,7 +359,7 @@ class Machine(Mover):
         if watch is None:
             raise PlanFileError("RESUME outside of an interrupt")
         watch.busy = False
-        raise _Resumed(watch.scope.depth)
+        raise Resumed(watch.scope.depth)
 
     def _root(self) -> str:
         return self.scopes[-1].routine.name
@@ -356,8 +368,12 @@ class Machine(Mover):
         for watch in list(self.watches.values()):
             if not watch.on or watch.busy:
                 continue
-            now = bool(self.value(watch.condition))
-            fired, watch.was = now and not watch.was, now
+            if watch.period:
+                fired = self.t >= watch.due - 1e-9
+                watch.due += watch.period * fired
+            else:
+                now = bool(self.value(watch.condition))
+                fired, watch.was = now and not watch.was, now
             if fired:
                 self._interrupted(watch)
 
@@ -372,4 +388,4 @@ class Machine(Mover):
         if self.braked:
             raise PlanFileError(f"{watch.routine}: brakes and does not resume")
         self.chain, self.marks = chain, marks
-        watch.was = bool(self.value(watch.condition))
+        watch.was = watch.period == 0 and bool(self.value(watch.condition))

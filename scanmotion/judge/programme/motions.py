@@ -21,6 +21,23 @@ class Ended(Exception):
     """Nobody starts the programme again, or the power is gone."""
 
 
+class Left(Exception):
+    """EXIT."""
+
+
+class Returned(Exception):
+    """RETURN."""
+
+
+class Stopped(Exception):
+    """A motion was stopped for an error handler."""
+
+
+class Resumed(Exception):
+    def __init__(self, depth: int) -> None:
+        self.depth = depth
+
+
 class Mover(ABC):
     """Time, joints and outputs of a run; the machine adds what statements mean."""
 
@@ -83,6 +100,8 @@ class Mover(ABC):
 
     def _do_move(self, s: st.Move) -> None:
         target = self.value(s.target)
+        if s.kind == "abs":
+            return self._do_timed_move(s, target)
         if s.kind == "ptp":
             if set(target) != set(AXES):
                 raise PlanFileError("the point does not have A1 to A6 and E1")
@@ -100,6 +119,34 @@ class Mover(ABC):
         self.marks = []
         if not s.rounded:
             self._flush()
+
+    def _do_timed_move(self, s: st.Move, target: Any) -> None:
+        """A joint move that may say its seconds."""
+        six, others = target
+        if len(six) != 6 or len(others) != 6 or any(v != 9e9 for v in others[1:]):
+            raise PlanFileError("the point is no jointtarget of six axes and a table")
+        goal = np.array([*six, others[0]], float)
+        seconds = np.inf if s.seconds is None else float(self.value(s.seconds))
+        if not 0.01 <= seconds <= 1000 and s.seconds is not None:
+            raise PlanFileError(f"a move in {seconds:g} s")
+        self.chain.append((s, goal, np.full(7, 10.0), seconds, self.marks))
+        self.marks = []
+        if not s.rounded:
+            self._flush()
+
+    def _timed(self, chain: list[Any]) -> Driven:
+        """Moves one after another, each evenly in its time; the zone's rounding is left out."""
+        points = np.array([self.q, *(goal for _, goal, *_ in chain)])
+        seconds = [long for *_, long, _ in chain]
+        if not np.isfinite(seconds).all():
+            return point_to_point(points, np.full((len(chain), 7), 10.0), np.ones(len(chain) - 1), self.drive)
+        # No joint is faster than it can be: the move takes longer then.
+        least = (np.abs(np.diff(points, axis=0)) / self.drive.speed).max(axis=1)
+        at = np.append(0.0, np.cumsum(np.maximum(seconds, least)))
+        grid = np.append(np.arange(0.0, at[-1], TICK_S), at[-1])
+        q = np.column_stack([np.interp(grid, at, points[:, j]) for j in range(7)])
+        self.gains.setdefault(int(self.data.get(self.step_name) or 0), np.zeros(7))
+        return Driven(t=grid, q=q, at=at)
 
     def _speed(self) -> np.ndarray:
         found = [self.system["$VEL_AXIS", n, ""] for n in range(1, 7)] + [self.system["$VEL_EXTAX", 1, ""]]
@@ -121,7 +168,9 @@ class Mover(ABC):
         if not self.chain:
             return
         chain, self.chain = self.chain, []
-        if chain[0][0].kind == "lin":
+        if chain[0][0].kind == "abs":
+            driven = self._timed(chain)
+        elif chain[0][0].kind == "lin":
             X_FS = pose_of(self.system["$TOOL", None, ""])
             if np.abs(X_FS - self.drive.X_FS).max() > 1e-4:
                 raise PlanFileError(f"{chain[0][0].line}: LIN with another tool than the scanner")

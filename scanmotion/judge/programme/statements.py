@@ -132,6 +132,8 @@ class Interrupt(Statement):
     number: int
     condition: Any = None
     routine: str = ""
+    period: Any = None
+    """Seconds, where time and not a condition sets it off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,6 +144,11 @@ class Brake(Statement):
 @dataclass(frozen=True, kw_only=True)
 class Resume(Statement):
     """Leaves everything up to where the interrupt was declared."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Raise(Statement):
+    """Stops the motion and goes on in the error handler of the routine that moves."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,6 +164,8 @@ class Routine:
     parameters: tuple[str, ...]
     local: frozenset[str]
     body: tuple[Statement, ...]
+    handler: tuple[Statement, ...] = ()
+    """What is done after Raise."""
     signals: dict[str, tuple[int, int]] = field(default_factory=dict)
     """Words of outputs: name, first and last number."""
 
