@@ -176,7 +176,7 @@ def reach_map(
 
 def causes_of(plan: Plan) -> dict[str, str]:
     """For each viewpoint "served" or the cause for which it was left out."""
-    lost = dict(plan.unreachable)
+    lost = dict(plan.left_out)
     causes = {}
     for view in plan.viewpoints:
         reason = lost.get(view.id)
