@@ -100,4 +100,5 @@ def made_by_hand(cell):
         segments=(SimpleNamespace(unreachable=()),), samples=None, visible=None,
     )  # fmt: skip
     plan.cycle = plan.trajectory
+    plan.solvers = {}
     return plan

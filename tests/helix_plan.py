@@ -59,6 +59,7 @@ def helix_plan(cell, overlap=1.0):
         visible=None,
     )  # fmt: skip
     plan.cycle = plan.trajectory
+    plan.solvers = {}
     return plan
 
 

@@ -77,6 +77,7 @@ def hand_made_plan():
         dropped=(), unscanned=(),
     )  # fmt: skip
     plan.cycle = plan.trajectory
+    plan.solvers = {}
     return plan
 
 

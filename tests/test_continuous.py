@@ -9,6 +9,7 @@ from test_plan import TINY, pitted
 from scanmotion.cell.settings import load_cell
 from scanmotion.core.errors import InputError
 from scanmotion.core.viewpoint import look_at
+from scanmotion.export import export_plan
 from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.geometry.revolved import swept_part
 from scanmotion.judge import verify
@@ -16,7 +17,9 @@ from scanmotion.motion.continuous.options import ContinuousOptions
 from scanmotion.motion.continuous.table_travel import MOST_PIECES, angle_at, pieces_of
 from scanmotion.motion.timing.path import turns_in
 from scanmotion.plan_io.read import read_json
+from scanmotion.plan_io.save import judged
 from scanmotion.planning.pipeline import PlanOptions, plan
+from scanmotion.planning.replan import replan
 from scanmotion.sensing.sight import cell_of, masks_of, octahedral, sight_from, unpacked
 from scanmotion.sensing.visibility import revolution_poses, scene_from, sees
 
@@ -89,16 +92,15 @@ def test_the_search_and_the_drive_agree_on_the_tables_angle(kr240_cell, total):
     assert np.abs(np.cumsum(turns)).max() <= room + 1e-9
 
 
-def test_a_continuous_plan_passes_the_judge(moving, tmp_path):
-    assert moving.findings == ()
+def test_a_continuous_plan_passes_the_judge(moving, saved):
+    assert judged(moving, judge=verify).findings == ()
     (operation,) = moving.trajectory.operations
     assert operation.kind == "path" and operation.scanning
     assert moving.completeness()["final"] > 0.9
     assert moving.time_s()["floor"] <= moving.time_s()["total"]
-    moving.save(tmp_path / "plan")
-    told = read_json(tmp_path / "plan", "summary.json")["motion"]
+    told = read_json(saved, "summary.json")["motion"]
     assert told["kind"] == "continuous" and told["seconds"] == pytest.approx(operation.t_end, abs=0.02)
-    assert verify(tmp_path / "plan") == []
+    assert verify(saved) == []
 
 
 def test_the_motion_starts_at_home_and_keeps_its_limits(moving):
@@ -111,14 +113,14 @@ def test_the_motion_starts_at_home_and_keeps_its_limits(moving):
     assert np.abs(np.gradient(t.q, t.t, axis=0)[2:-2] - t.qd[2:-2]).max() < 5e-3
 
 
-def test_the_judge_sees_a_path_that_is_driven_too_fast(moving, tmp_path):
+def test_the_judge_sees_a_path_that_is_driven_too_fast(moving):
     t, faster = moving.trajectory, 0.6
     (o,) = t.operations
     quick = replace(
         t, t=t.t * faster, qd=t.qd / faster, qdd=t.qdd / faster**2,
         operations=(replace(o, t_end=o.t_end * faster),),
     )  # fmt: skip
-    codes = {f.code for f in replace(moving, trajectory=quick).findings}
+    codes = {f.code for f in judged(replace(moving, trajectory=quick), judge=verify).findings}
     assert {"tcp_speed", "velocity"} <= codes
 
 
@@ -129,7 +131,31 @@ def test_the_judge_misses_a_viewpoint_that_a_path_does_not_pass(moving):
     X[2, 3] += 0.02
     reaches = (replace(segment.reaches[0], viewpoint=away.moved(X)), *segment.reaches[1:])
     wrong = replace(moving, segments=(replace(segment, reaches=reaches),))
-    assert any(f.code == "viewpoint" and f.where == away.id for f in wrong.findings)
+    assert any(f.code == "viewpoint" and f.where == away.id for f in judged(wrong, judge=verify).findings)
+
+
+@pytest.fixture(scope="module")
+def saved(moving, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("moving") / "plan"
+    moving.save(folder)
+    return folder
+
+
+@pytest.mark.parametrize("to", ["krl", "krl-timed"])
+def test_krl_refuses_what_it_cannot_hold(to, saved, tmp_path):
+    with pytest.raises(InputError, match="not written as KRL"):
+        export_plan(saved, to, out=tmp_path)
+
+
+def test_csv_carries_the_motion_as_it_is(saved, moving, tmp_path):
+    (file,) = export_plan(saved, "csv", out=tmp_path)
+    assert len(file.read_text().splitlines()) == len(moving.cycle.t) + 1
+
+
+@pytest.mark.parametrize("done", ["", "P1"])
+def test_a_motion_is_not_taken_up_in_its_middle(done, moving):
+    with pytest.raises(InputError, match="cannot be taken up in its middle"):
+        replan(moving, done=done)
 
 
 @pytest.mark.parametrize(

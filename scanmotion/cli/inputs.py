@@ -140,6 +140,11 @@ def say_read(part: "Part", *, quiet: bool = False) -> None:
         typer.echo(f"{part.report.file}: {part.report.line}", err=True)
 
 
+def _replaceable(out: Path) -> bool:
+    """Whether a plan, or several placements, stand in a folder."""
+    return any((out / mark).is_file() for mark in ("plan.json", "placements.json"))
+
+
 def check_out_folder(out: Path) -> None:
     """Refuses, before any work is done, a folder that a plan must not replace.
 
@@ -152,7 +157,7 @@ def check_out_folder(out: Path) -> None:
 
     if out.is_symlink() or (out.exists() and not out.is_dir()):
         raise InputError(f"--out {out}: is not a folder")
-    if out.is_dir() and any(out.iterdir()) and not ((out / "plan.json").is_file() or holds_answer(out)):
+    if out.is_dir() and any(out.iterdir()) and not (_replaceable(out) or holds_answer(out)):
         raise InputError(f"--out {out}: holds something that is not a plan; name another folder")
     parent = out.resolve().parent
     while not parent.exists():

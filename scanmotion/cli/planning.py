@@ -32,11 +32,12 @@ from scanmotion.cli.inputs import (  # fmt: skip
     part_and_source,
     say_read,
 )
+from scanmotion.cli.pages import pages
+from scanmotion.cli.placing import New, placing_from, plan_placed, say_placed
 from scanmotion.core.errors import InputError
 
 if TYPE_CHECKING:
     from scanmotion.cell.settings import CellSettings
-    from scanmotion.core.part import Part
     from scanmotion.core.summary import LeftOut, Summary, ViewpointSummary, WithinReach
     from scanmotion.planning.options import PlanOptions
     from scanmotion.planning.plan import Plan
@@ -89,6 +90,17 @@ def plan(
             help="With --motion continuous: this share of what can be seen, 0..1, in the least seconds.",
         ),
     ] = None,
+    placements: Annotated[
+        str,
+        typer.Option(
+            "--placements",
+            help="1; a number; auto; or which axis of the part is up in each further placement, e.g. +y,-z.",
+        ),
+    ] = "1",
+    forbid: Annotated[
+        str,
+        typer.Option("--forbid", help="With --placements: sides that must not lie down, e.g. -z,+x."),
+    ] = "",
     keep: Annotated[
         Path | None,
         typer.Option(
@@ -172,6 +184,7 @@ def plan(
     check_known("--strategy", strategy, STRATEGIES)
     check_known("--motion", motion, MOTIONS)
     check_out_folder(out)
+    placing = placing_from(placements, forbid)
     only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
     subject = answer = None
     check_budget(budget)
@@ -191,6 +204,14 @@ def plan(
             **words,
         )  # fmt: skip
         request = New(part=subject, settings=settings, options=options)
+    if placing is not None:
+        if not isinstance(request, New):
+            raise InputError("--placements: not together with --keep; take up one placement's folder")
+        if noted:
+            raise InputError("--meta: not together with --placements; note it on one placement's plan")
+        with progress_bar(quiet=quiet or json) as progress:
+            plan_placed(request, placing, out=out, html=html, progress=progress)
+        return say_placed(out, quiet=quiet, json=json)
     with progress_bar(quiet=quiet or json) as progress:
         made = request.planned(progress)
         made = replace(made, meta={**made.meta, **noted})
@@ -209,21 +230,6 @@ def plan(
     elif not quiet:
         print_summary(summary, out, html=html)
     return OK if summary.passes else CHECK_FAILED
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class New:
-    """A plan that begins with nothing."""
-
-    part: "Part"
-    settings: "CellSettings"
-    options: "PlanOptions"
-
-    def planned(self, progress: Progress) -> "Plan":
-        """The plan."""
-        from scanmotion.planning.pipeline import plan
-
-        return plan(self.part, self.settings, options=self.options, progress=progress)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -261,17 +267,6 @@ def only_with_keep(keep: Path | None, done: str, failed: Sequence[str] | None, *
     wrong = [name for name, value in given.items() if value is not None]
     if keep is not None and wrong:
         raise InputError(f"--{wrong[0]}: the plan that --keep names has it already")
-
-
-def pages(made: "Plan", progress: Progress) -> dict[str, str]:
-    """The two HTML files that go with a plan."""
-    from scanmotion.report.page import report_html
-    from scanmotion.report.scene import scene_html
-
-    progress("scene", 0.0)
-    scene = scene_html(made)
-    progress("report", 0.5)
-    return {"scene.html": scene, "report.html": report_html(made)}
 
 
 def with_budget(settings: "CellSettings", budget: float | None) -> "CellSettings":

@@ -1,9 +1,9 @@
 """`scanmotion run`: an exported programme on the virtual controller."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from scanmotion.cli.app import CHECK_FAILED, OK, say_json
@@ -26,7 +26,7 @@ def run(
     fault: Annotated[
         list[int] | None, typer.Option("--fault", help="A recording, from 1, that a fault of it breaks off.")
     ] = None,
-    stop_at: Annotated[float, typer.Option("--stop-at", help="When the power goes, s.")] = np.inf,
+    stop_at: Annotated[float, typer.Option("--stop-at", help="When the power goes, s.")] = math.inf,
     dynamics: Annotated[
         bool, typer.Option("--dynamics/--no-dynamics", help="Whether Drake simulates arm and table.")
     ] = True,

@@ -51,6 +51,7 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
         "cell.json": plan.cell.settings.model_dump_json(indent=1) + "\n",
         "holes.json": json_text({"units": "m", "holes": hole_records(plan)}),
         "scan.npz": arrays_data(plan),
+        **frame_files(cycle, plan.viewpoints, plan.cell),
     }
 
 

@@ -50,12 +50,15 @@ def replan(
         progress: told the stage and the share done.
 
     Raises:
-        InputError: `done` or `failed` name nothing of the plan, or a failed viewpoint has been served.
+        InputError: `done` or `failed` name nothing of the plan, a failed viewpoint has been served, or a
+            continuous motion has not been executed to its end.
     """
     whole = old.trajectory
     if whole is None:
         raise InputError("the earlier plan has no trajectory")
-    finished = whole.operations[: last_operation(whole.operations, done) + 1]
+    last = last_operation(whole.operations, done)
+    _check_whole(whole.operations, last, done)
+    finished = whole.operations[: last + 1]
     served = {v for o in finished if o.scanning for v in o.viewpoints}
     views = {v.id: v for v in old.viewpoints}
     _check_failed(failed, views, finished)
@@ -110,6 +113,17 @@ def last_operation(operations: Sequence[Operation], done: str) -> int:
         f"--done {done}: no operation serves it; operations are 0 to {len(operations) - 1} and serve "
         f"{', '.join(served)}"
     )
+
+
+def _check_whole(operations: Sequence[Operation], last: int, done: str) -> None:
+    """Refuses to take up a continuous motion in its middle: the rest of it is not made of viewpoints."""
+    for o in operations:
+        inside = done in o.viewpoints[:-1]
+        if o.kind == "path" and (o.index > last or inside):
+            raise InputError(
+                f"operation {o.index} is one continuous motion, which cannot be taken up in its middle; "
+                "plan the part anew, or take up what follows it with --done " + str(o.index)
+            )
 
 
 def _check_failed(failed: Sequence[str], views: dict[str, Viewpoint], finished: Sequence[Operation]) -> None:

@@ -23,7 +23,7 @@ td.n, td.w { white-space: nowrap; font-variant-numeric: tabular-nums } details {
 .wide { overflow-x: auto } .first { font-size: 1.25em; line-height: 1.35; max-width: 44em }
 table.sheet { width: 100%; max-width: 44em } table.sheet th { width: 13em }
 table.sheet td { border-bottom: 1px solid #999; height: 1.7em }
-@media (max-width: 600px) { body { margin: .8em auto; padding: 0 .7em; overflow-wrap: anywhere }
+@media (max-width: 600px) { body { margin: .8em auto; padding: 0 .7em } p { overflow-wrap: anywhere }
 table { font-size: 13px } td, th { padding-right: .5em } table.sheet th { width: 8em } }
 @media print { @page { size: A4; margin: 14mm } body { font-size: 10pt;
 max-width: none; margin: 0; padding: 0 }

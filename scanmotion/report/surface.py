@@ -16,8 +16,11 @@ def coverage(plan: Plan, summary: Summary) -> str:
         return section(
             "Coverage", '<p class="note">No mesh of the part is known: nothing can be predicted.</p>'
         )
-    parts = [image(coverage_figure(plan), "coverage after the global step and at the end")]
+    parts = [image(coverage_figure(plan), "coverage at the end")]
     parts += _rounds(summary)
+    if len(summary.rounds) > 1:
+        before = image(coverage_figure(plan, after="global"), "coverage after the global step")
+        parts.append(f"<details><summary>after the global step</summary>{before}</details>")
     if plan.unscanned:
         parts += _unscanned(plan.unscanned)
     return section("Coverage", *parts)

@@ -18,7 +18,7 @@ from scanmotion.sensing.free_space import Space
 from scanmotion.sensing.holes.find import Hole
 from scanmotion.sensing.visibility import Scene, axis_depths, revolution_poses
 from scanmotion.views.candidate_views import ASKED, CandidateOptions, Candidates, Reachable, candidates
-from scanmotion.views.targets import TargetOptions, drawn, missed, near, sight_of
+from scanmotion.views.targets import TargetOptions, Targets, drawn, missed, near, sight_of
 from scanmotion.views.unscanned import CANNOT_BE_SEEN, Patch, patches, why_open
 
 _BEHIND_SHARE = 0.1
@@ -133,6 +133,48 @@ def local_step(
         unseen=tuple(sorted(vain + why, key=lambda p: -p.area)),
         model=model, targets=targets.points, claimed=targets.points[covered], gains=tuple(gains),
     )  # fmt: skip
+
+
+def views_of_surface(
+    scene: Scene,
+    scanner: Scanner,
+    targets: Targets,
+    *,
+    solid: np.ndarray,
+    table: TableGeometry,
+    costs: ViewCosts,
+    reachable: Reachable | None,
+    whole: float,
+    seconds: float = np.inf,
+    options: SelectOptions | None = None,
+) -> tuple[Viewpoint, ...]:
+    """Viewpoints, whole turns among them, for the open part of a surface that is known.
+
+    Args:
+        scene: the true surface.
+        scanner: field, range, incidence, baseline.
+        targets: what is open.
+        solid: points of the surface, shape (k, 3) in O [m].
+        table: where it is, and the room beside it.
+        costs: what stations, turns and ways take in this cell.
+        reachable: tells which poses (n, 4, 4) the robot reaches; None for all.
+        whole: area of the whole surface [m2].
+        seconds: what the chosen may take together, roughly [s].
+        options: how finely to look.
+    """
+    options = options or SelectOptions()
+    if len(targets) == 0:
+        return ()
+    found = candidates(
+        scene, scanner, targets, solid=solid, reachable=reachable, table=table, options=options.candidates
+    )
+    chosen, gains = _chosen(
+        found, targets.areas, options.least_rate * whole, costs, seconds=seconds, most=options.most
+    )
+    return tuple(
+        _view(found, c, _standoff(scene, scanner, found, c, targets.points), f"L{n}", g)
+        for n, (c, g) in enumerate(zip(chosen, gains, strict=True), 1)
+    )
 
 
 def _careful(scanner: Scanner, options: SelectOptions) -> Scanner:

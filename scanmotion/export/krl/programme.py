@@ -75,6 +75,11 @@ def timed_files(job: Job) -> Files:
 def _files(job: Job, manner: Manner) -> Files:
     krl_name(job.name)
     record = job.source.record
+    if any(o.kind == "path" for o in record.operations):
+        raise InputError(
+            "a continuous motion is not written as KRL: the programme would leave the plan by more than the "
+            "judge allows; csv, json and ros carry it as it is, or plan with --motion stops"
+        )
     if np.abs(job.arm.axes_at_zero() - KUKA_AXES).max() > 1e-3:
         raise InputError(
             f"the joints of {remark(record.robot, 'robot')} do not turn as a KUKA arm's do (along x at "

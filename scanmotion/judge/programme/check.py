@@ -27,6 +27,8 @@ from scanmotion.judge.programme.world import Run, ScriptedScanner
 from scanmotion.judge.views import check_viewpoints
 
 SPEED_MORE, GAIN_MORE = 1.03, 1.25
+MOVING = ("transit", "sweep", "helix", "path")
+"""Kinds of operation in which the scanner's speed is judged."""
 """By how much speeds and the accelerations of splines may exceed the plan's limits."""
 OFF_START_DEG = 2.0
 """Where the programme must not begin to move: this far from the start."""
@@ -225,7 +227,7 @@ def _motion(
         }
     )
     loose = record.model_copy(update={"process": more})
-    kept = [f for f in check_speed(loose, driven, motion) if f.where in ("transit", "sweep", "helix")]
+    kept = [f for f in check_speed(loose, driven, motion) if f.where in MOVING]
     findings += kept + check_viewpoints(record, driven, motion)
     if clearance and not findings:
         away = max((d.away_mm for d in found), default=0.0) * 1e-3

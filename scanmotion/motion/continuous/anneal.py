@@ -3,7 +3,8 @@
 Arrays instead of types, for numba. `arrays` are poses in O with the table at zero (n, 4, 4), quaternions
 (n, 4), seconds of the ways (n, n), neighbours (n, k), then `Sight`'s places (3, m), normals (3, m), open
 directions, cells and field. `table` is the table's speed, ramp, start, and room upward and downward;
-`weights` are seconds for each place, the share paid for the second frame, and the longest duration.
+`weights` are seconds for each place, the share paid for the second frame, the longest duration, how
+many words hold places that stand for themselves, and for how many places each of the others stands.
 """
 
 import numpy as np
@@ -31,7 +32,19 @@ def _popcount(x):
 
 
 @njit(cache=True)
-def greedy(turns, seconds, weights, rate):
+def _count(mask, weights):
+    """For how many places the bits that are set stand."""
+    n = 0
+    for w in range(int(weights[3])):
+        n += _popcount(mask[w])
+    rest = 0
+    for w in range(int(weights[3]), len(mask)):
+        rest += _popcount(mask[w])
+    return n + weights[4] * rest
+
+
+@njit(cache=True)
+def greedy(turns, seconds, weights):
     """Whole turns, the most worth for its seconds first, as long as one is worth its seconds."""
     n, words = turns.shape
     seen = np.zeros(words, np.uint64)
@@ -39,9 +52,7 @@ def greedy(turns, seconds, weights, rate):
     while len(chosen) < 12:
         best, gain_best = -1, 0.0
         for i in range(1, n):
-            gain = 0
-            for w in range(words):
-                gain += _popcount(turns[i, w] & ~seen[w])
+            gain = _count(turns[i] & ~seen, weights)
             worth = gain * weights[0] - 6.0 - min(seconds[chosen[-1], i], 30.0)
             if seconds[chosen[-1], i] < 1e3 and worth > gain_best:
                 best, gain_best = i, worth
@@ -78,15 +89,6 @@ def _between(Ya, Yb, qa, qb, f, out):
 
 
 @njit(cache=True)
-def _count(mask):
-    """Bits that are set."""
-    n = 0
-    for w in range(len(mask)):
-        n += _popcount(mask[w])
-    return float(n)
-
-
-@njit(cache=True)
 def _look(a, b, g, k, key, arrays, near, Z, X, memo, store):
     """Remembers what is seen g fifteenths of the way from node a to node b at table angle k."""
     Y, quat, _, _, points, normals, opened, cells, field = arrays
@@ -101,7 +103,9 @@ def _look(a, b, g, k, key, arrays, near, Z, X, memo, store):
 @njit(cache=True)
 def _cost(seq, dwell, count, sense, first, arrays, table, weights, work, memo, store, bound):
     """Cost, seconds, places missed and places not seen twice of one motion; not looked at beyond `bound`."""
-    seconds, count_all, places = arrays[2], len(arrays[0]), arrays[4].shape[1]
+    seconds, count_all = arrays[2], len(arrays[0])
+    hard = 64.0 * weights[3]
+    places = hard + weights[4] * (arrays[4].shape[1] - hard)
     once, twice, near, pieces, Z, X = work
     words = len(once)
     total = 0.0
@@ -153,21 +157,19 @@ def _cost(seq, dwell, count, sense, first, arrays, table, weights, work, memo, s
                     once[w] |= m[w]
                 frame += 1
             t = until
-    seen, again = _count(once), _count(twice)
+    seen, again = _count(once, weights), _count(twice, weights)
     missed, missed_twice = places - seen, places - again
     cost = total + late + weights[0] * ((1.0 - weights[1]) * missed + weights[1] * missed_twice)
     return cost, total, missed, missed_twice
 
 
 @njit(cache=True)
-def _wanted(turns, open_, rng):
+def _wanted(turns, open_, weights, rng):
     """A node whose whole turn sees much of what is open: the best of some drawn at random."""
-    best, gain_best = 0, 0
+    best, gain_best = 0, 0.0
     for _ in range(60):
         i = rng.integers(1, len(turns))
-        gain = 0
-        for w in range(len(open_)):
-            gain += _popcount(turns[i, w] & open_[w])
+        gain = _count(turns[i] & open_, weights)
         if gain > gain_best:
             best, gain_best = i, gain
     return best
@@ -263,7 +265,7 @@ def anneal(seq, dwell, count, sense, first, arrays, turns, table, weights, evalu
         else:
             wanted = 0
             if rng.random() < 0.2:
-                wanted = _wanted(turns, open_, rng)
+                wanted = _wanted(turns, open_, weights, rng)
             new_count = _moved(new_seq, new_dwell, count, near, n, wanted, rng)
             if new_count == 0:
                 continue

@@ -16,7 +16,7 @@ from scanmotion.core.scanner import Scanner
 from scanmotion.core.tour import Stop
 from scanmotion.motion.continuous.nodes import nodes_from, swept_clearance
 from scanmotion.motion.continuous.options import ContinuousOptions
-from scanmotion.motion.continuous.realise import Realised, Ways, free, realised
+from scanmotion.motion.continuous.realise import Realised, Ways, blocked_at, realised
 from scanmotion.motion.continuous.search import (
     Choice,
     Nodes,
@@ -25,7 +25,7 @@ from scanmotion.motion.continuous.search import (
     annealed,
     turn_masks,
 )
-from scanmotion.motion.timing.path import PathMotion
+from scanmotion.motion.timing.path import SPARE_RAD, PathMotion
 from scanmotion.sensing.sight import Sight, masks_of, sight_from, unpacked
 from scanmotion.sensing.visibility import Scene
 
@@ -81,14 +81,16 @@ class ContinuousSearch:
         swept = swept_clearance(cell)
         self.nodes = nodes_from(cell, swept, self.start_q, poses, azimuths=np.deg2rad(options.azimuths_deg))
         self._ways = Ways(cell, swept, self.nodes, float(self.start_q[_TABLE]))
-        hard = _hard_places(scene, scanner, points, normals, self.nodes, options.hard)
-        self.sight = sight_from(scene, scanner, points[hard], normals[hard])
+        hard, easy, self._stands_for = _places(scene, scanner, points, normals, self.nodes, options)
+        self._hard, both = len(hard), np.concatenate([hard, easy])
+        self.sight = sight_from(scene, scanner, points[both], normals[both])
         self.turns = turn_masks(self.sight, self.nodes)
         limits = (float(x[_TABLE]) for x in (cell.v_max, cell.a_max, cell.j_max))
         v, a, j = limits
         self._drive = TableDrive(
-            speed=v, ramp=v / a + a / j, start=float(self.start_q[_TABLE]), low=float(cell.q_min[_TABLE]),
-            high=float(cell.q_max[_TABLE]),
+            speed=v, ramp=v / a + a / j, start=float(self.start_q[_TABLE]),
+            low=float(cell.q_min[_TABLE]) + SPARE_RAD,
+            high=float(cell.q_max[_TABLE]) - SPARE_RAD,
         )  # fmt: skip
 
     def found(
@@ -103,7 +105,10 @@ class ContinuousSearch:
             begin: a choice to begin with.
         """
         options = self.options
-        weighing = Weighing(price=price, twice=options.twice, longest=min(longest, 1e6), total=options.places)
+        weighing = Weighing(
+            price=price, twice=options.twice, longest=min(longest, 1e6), total=options.places,
+            hard=self._hard, easy=self._stands_for,
+        )  # fmt: skip
         choice, best = begin, None
         hot, work = (4.0 if begin is None else 1.5), options.evaluations
         for _ in range(options.rounds):
@@ -114,14 +119,13 @@ class ContinuousSearch:
             hot, work = 0.5, options.again
             if len(choice.nodes) < 2:
                 return best
-            names = [str(k) for k in range(1, len(choice.nodes))]
-            made = realised(self.cell, self._ways, choice, self.start_q, names)
+            made = realised(self.cell, self._ways, choice, self.start_q)
             off = self._learn(made)
             if made.motion is None or made.stop is None:
                 continue
-            if not free(self.cell, self._clearance, made.motion):
-                # The swept solid is clear, so this is the table's own part of the cell: give up this order.
-                self._forbid(choice)
+            blocked = blocked_at(self.cell, self._clearance, made.motion)
+            if blocked is not None:
+                self._forbid(made, blocked)
                 continue
             best = self._placed(made, choice)
             if off < 1.0:
@@ -136,8 +140,13 @@ class ContinuousSearch:
             seconds[a, b] = seconds[b, a] = taken
         return off
 
-    def _forbid(self, choice: Choice) -> None:
-        for a, b in zip(choice.nodes[:-1], choice.nodes[1:], strict=True):
+    def _forbid(self, made: Realised, blocked: float) -> None:
+        """Takes out the ways that the arm is on when it is blocked: they are clear of what the part sweeps,
+        but corners are rounded where a node is passed.
+        """
+        assert made.motion is not None
+        group = max(int(np.searchsorted(made.motion.leaves, blocked, side="right")) - 1, 0)
+        for a, b in made.groups[group]:
             self.nodes.seconds[a, b] = self.nodes.seconds[b, a] = np.inf
 
     def _placed(self, made: Realised, choice: Choice) -> Continuous:
@@ -149,23 +158,37 @@ class ContinuousSearch:
         )  # fmt: skip
 
 
-def _hard_places(
-    scene: Scene, scanner: Scanner, points: np.ndarray, normals: np.ndarray, nodes: Nodes, most: int
-) -> np.ndarray:
-    """Indices of the places that fewest nodes see, of those that any sees, side by side in memory."""
+def _places(
+    scene: Scene,
+    scanner: Scanner,
+    points: np.ndarray,
+    normals: np.ndarray,
+    nodes: Nodes,
+    options: ContinuousOptions,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """The places that the search looks at, by index: those that fewest nodes see, of those that any sees, and
+    every so many of the rest; and for how many each of these stands.
+    """
     sight: Sight = sight_from(scene, scanner, points, normals, cells=_COARSE_CELLS)
     some = nodes.Y[1 :: max(1, len(nodes.Y) // _COARSE_NODES)]
     at = 2 * np.pi * np.arange(_COARSE_ANGLES) / _COARSE_ANGLES
     seen = masks_of(sight, some, at)
     share = unpacked(np.bitwise_or.reduce(seen, axis=1), len(points)).mean(axis=0)
-    share[share == 0.0] = np.inf
-    hard = np.argsort(share, kind="stable")[:most]
-    hard = hard[np.isfinite(share[hard])]
-    # Neighbours side by side: the tests of a frame then mostly go the same way.
+    order = np.argsort(share, kind="stable")
+    order = order[share[order] > 0.0]
+    few = 64 * (min(options.hard, len(order)) // 64)
+    hard, rest = order[:few], order[few:]
+    easy = rest[:: max(1, len(rest) // options.easy)]
+    stands_for = len(rest) / max(len(easy), 1)
+    return _side_by_side(points, normals, hard), _side_by_side(points, normals, easy), stands_for
+
+
+def _side_by_side(points: np.ndarray, normals: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Neighbours next to each other: the tests of a frame then mostly go the same way."""
     low, size = points.min(axis=0), float(np.ptp(points, axis=0).max())
-    cell = np.floor((points[hard] - low) / size * (_SORT_CELLS - 0.01)).astype(int)
-    side = (normals[hard] > 0) @ np.array([1, 2, 4])
-    return hard[np.lexsort((cell[:, 0], cell[:, 1], cell[:, 2], side))]
+    cell = np.floor((points[which] - low) / size * (_SORT_CELLS - 0.01)).astype(int)
+    side = (normals[which] > 0) @ np.array([1, 2, 4])
+    return which[np.lexsort((cell[:, 0], cell[:, 1], cell[:, 2], side))]
 
 
 def renamed(found: Continuous, names: tuple[str, ...]) -> Continuous:

@@ -76,6 +76,8 @@ def _tied(cell: Cell, q: np.ndarray, at: Placed, near: int) -> Nodes:
     seconds = move_matrix(move_model(cell), at, at)
     for k in (3, 5):
         seconds[np.abs(q[:, None, k] - q[None, :, k]) > _WRIST_RAD] = np.inf
+    # Through A5 = 0 the wrist flips.
+    seconds[np.sign(q[:, None, 4]) != np.sign(q[None, :, 4])] = np.inf
     np.fill_diagonal(seconds, np.inf)
     X_WO = cell.X_WT @ cell.X_TO
     Y = inverse_poses(X_WO) @ scanner_poses(cell, q)

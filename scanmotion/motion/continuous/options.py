@@ -13,8 +13,10 @@ class ContinuousOptions:
     """Share of a place's worth that is paid only where two frames from different sides see it."""
     places: int = 40_000
     """Places drawn on the surface."""
-    hard: int = 6_000
+    hard: int = 4_500
     """Of these, the ones that are looked at in the search: those that fewest poses see."""
+    easy: int = 1_500
+    """And so many of the rest, each for several."""
     evaluations: int = 20_000
     """Motions that are looked at."""
     again: int = 3_000

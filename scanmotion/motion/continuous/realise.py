@@ -1,6 +1,5 @@
 """From chosen nodes to ways of the arm: straight for the scanner, in one branch, clear of all that turns."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,19 +7,21 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
-from scanmotion.cell.kinematics import branches
+from scanmotion.cell.kinematics import branches, scanner_poses
 from scanmotion.core.tour import Stop
 from scanmotion.motion.continuous.search import Choice, Nodes
 from scanmotion.motion.timing.helix import way_law
 from scanmotion.motion.timing.path import PathMotion, path_motion, turns_in
 from scanmotion.motion.timing.spline import STEP_M, STEP_RAD
-from scanmotion.motion.transit.drive import positions, transit_spline
+from scanmotion.motion.transit.drive import transit_spline
 from scanmotion.motion.transit.plan import samples_free
 from scanmotion.motion.transit.straight_line import chord
 
 _TABLE = 6
 _JUMP_RAD = 4 * STEP_RAD
 """A greater joint step between neighbouring points of a way is another branch of the arm [rad]."""
+_ASIDE_RAD = np.deg2rad(8.0)
+"""By how much its direction may be farther from those at both ends than these are from each other [rad]."""
 _PASSING_S = 0.3
 """A node at which the arm would stay for less is passed without a rest [s]."""
 _SAMPLE_S = 0.01
@@ -33,7 +34,9 @@ class Realised:
     stop: Stop | None
     motion: PathMotion | None
     passes: tuple[float, ...]
-    """When the scanner is at each node but the first [s]."""
+    """When the arm is in the middle of each of its rests, the last one being the end [s]."""
+    groups: tuple[tuple[tuple[int, int], ...], ...]
+    """Pairs of nodes of the ways between two rests."""
     seconds: dict[tuple[int, int], float]
     """How long each way takes, infinite where it is blocked, by its two nodes [s]."""
 
@@ -57,12 +60,18 @@ class Ways:
     def _way(self, a: int, b: int) -> np.ndarray | None:
         q = np.column_stack([self.nodes.q[[a, b]], np.full(2, self._table)])
         for way in (self._straight(a, b, q), chord(self._cell, q[0], q[1])):
-            if way is not None:
+            if way is not None and self._looks_between(a, b, way):
                 path = transit_spline(self._cell, way)
                 at = np.linspace(0.0, path.end, 2 * round(path.end) + 1)
                 if samples_free(self._cell, self._clearance, path(at))[0]:
                     return way
         return None
+
+    def _looks_between(self, a: int, b: int, way: np.ndarray) -> bool:
+        """Whether the scanner looks on the way where the search takes it to look."""
+        z = scanner_poses(self._cell, way)[:, :3, 2]
+        first, last = (np.arccos(np.clip(z @ end, -1.0, 1.0)) for end in (z[0], z[-1]))
+        return bool((first + last).max() - first[-1] < _ASIDE_RAD)
 
     def _straight(self, a: int, b: int, q: np.ndarray) -> np.ndarray | None:
         """The scanner on a straight line, turning evenly, by the inverse kinematics of one branch."""
@@ -91,7 +100,7 @@ class Ways:
         return way
 
 
-def realised(cell: Cell, ways: Ways, choice: Choice, start_q: np.ndarray, names: Sequence[str]) -> Realised:
+def realised(cell: Cell, ways: Ways, choice: Choice, start_q: np.ndarray) -> Realised:
     """The choice as a motion; a node at which the arm hardly stays is passed without a rest.
 
     Args:
@@ -99,7 +108,6 @@ def realised(cell: Cell, ways: Ways, choice: Choice, start_q: np.ndarray, names:
         ways: between the nodes.
         choice: what was chosen.
         start_q: where the programme stands, shape (7,) [rad].
-        names: ids of the viewpoints, one for each node but the first.
     """
     pairs = [(int(a), int(b)) for a, b in zip(choice.nodes[:-1], choice.nodes[1:], strict=True)]
     made = [ways(a, b) for a, b in pairs]
@@ -108,15 +116,18 @@ def realised(cell: Cell, ways: Ways, choice: Choice, start_q: np.ndarray, names:
         for pair, way in zip(pairs, made, strict=True)
     }
     if any(way is None for way in made):
-        return Realised(stop=None, motion=None, passes=(), seconds=seconds)
+        return Realised(stop=None, motion=None, passes=(), groups=(), seconds=seconds)
     groups: list[list[np.ndarray]] = []
+    tied: list[list[tuple[int, int]]] = []
     dwells = [float(choice.dwell[0])]
     for n, way in enumerate(made):
         assert way is not None
         if n > 0 and choice.dwell[n] < _PASSING_S:
             groups[-1].append(way[1:])
+            tied[-1].append(pairs[n])
         else:
             groups.append([way])
+            tied.append([pairs[n]])
             if n > 0:
                 dwells.append(float(choice.dwell[n]))
     dwells.append(float(choice.dwell[-1]))
@@ -127,35 +138,30 @@ def realised(cell: Cell, ways: Ways, choice: Choice, start_q: np.ndarray, names:
     q_out = np.array(arm[-1][-1], dtype=float)
     q_out[_TABLE] = start_q[_TABLE] + sum(turns)
     stop = Stop(
-        viewpoints=tuple(names), kind="path", q_in=np.array(start_q, dtype=float), q_out=q_out,
-        ways=arm, turns=turns, dwells=tuple(dwells),
+        viewpoints=tuple(str(k + 1) for k in range(len(arm))), kind="path",
+        q_in=np.array(start_q, dtype=float), q_out=q_out, ways=arm, turns=turns, dwells=tuple(dwells),
     )  # fmt: skip
     motion = path_motion(cell, stop)
     return Realised(
         stop=replace(stop, q_out=motion.ends[1]), motion=motion,
-        passes=tuple(_passes(cell, motion, ways.nodes, choice, [len(g) for g in groups])), seconds=seconds,
+        passes=tuple(_rests(motion)), groups=tuple(tuple(pairs) for pairs in tied), seconds=seconds,
     )  # fmt: skip
 
 
-def _passes(cell: Cell, motion: PathMotion, nodes: Nodes, choice: Choice, counts: list[int]) -> list[float]:
-    """When the arm is in the middle of its stay at each node, or nearest to a node that it passes [s]."""
-    places = (cell.X_WT @ cell.X_TO @ nodes.Y[choice.nodes[1:]])[:, :3, 3]
+def _rests(motion: PathMotion) -> list[float]:
+    """When the arm is in the middle of its rest after each way [s].
+
+    On whole hundredths: the trajectory is sampled there, so the scanner is exactly where it is said to be.
+    """
+    arrives = [leave + law.duration for (_, law), leave in zip(motion.ways, motion.leaves, strict=True)]
     ends = [*motion.leaves[1:], motion.duration]
-    found: list[float] = []
-    for (path, law), leave, count, end in zip(motion.ways, motion.leaves, counts, ends, strict=True):
-        t = np.arange(0.0, law.duration, _SAMPLE_S)
-        p = positions(cell, path(law(t)[:, 0]))
-        after = 0
-        for _ in range(count - 1):
-            away = np.linalg.norm(p[after:] - places[len(found)], axis=1)
-            after += int(away.argmin())
-            found.append(leave + float(t[after]))
-        found.append(0.5 * (leave + law.duration + end))
-    # The trajectory is sampled on whole hundredths: there the scanner is exactly where it is said to be.
-    return [round(x / _SAMPLE_S) * _SAMPLE_S for x in found]
+    return [round(0.5 * (a + b) / _SAMPLE_S) * _SAMPLE_S for a, b in zip(arrives, ends, strict=True)]
 
 
-def free(cell: Cell, clearance: Clearance, motion: PathMotion) -> bool:
-    """Whether the motion keeps all clearances to the part as it turns, between its samples too."""
+def blocked_at(cell: Cell, clearance: Clearance, motion: PathMotion) -> float | None:
+    """When the motion first comes too near to something, the part as it turns too [s]; None where it is
+    clear, between its samples too.
+    """
     t = np.append(np.arange(0.0, motion.duration, _SAMPLE_S), motion.duration)
-    return samples_free(cell, clearance, motion(t)[0])[0]
+    clear, k, _ = samples_free(cell, clearance, motion(t)[0])
+    return None if clear else float(t[k])

@@ -59,7 +59,11 @@ class Weighing:
     longest: float
     """Motions that take longer are dear [s]."""
     total: int
-    """How many places stand for the whole surface; those not in the masks are taken as seen."""
+    """How many places stand for the whole surface."""
+    hard: int
+    """The first so many places of the masks, a multiple of 64, stand for themselves."""
+    easy: float
+    """For how many places each of the others stands."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -76,9 +80,9 @@ class Choice:
     """After how far it turns back for the first time [rad]."""
     seconds: float
     """Expected duration [s]."""
-    missed: int
+    missed: float
     """Places not seen."""
-    missed_twice: int
+    missed_twice: float
     """Places seen in fewer than two frames."""
     cost: float
 
@@ -121,11 +125,16 @@ def annealed(
         rng: source of the random numbers.
     """
     table = _table_of(drive)
-    weights = np.array([weighing.price / weighing.total, weighing.twice, weighing.longest])
+    weights = np.array(
+        [
+            weighing.price / weighing.total, weighing.twice, weighing.longest, weighing.hard // 64,
+            weighing.easy,
+        ]
+    )  # fmt: skip
     seq, dwell = np.zeros(MOST, np.int64), np.zeros(MOST, np.int64)
     sense, first = 1.0, min(table[3], table[4])
     if begin is None:
-        chosen = greedy(turns, nodes.seconds, weights, 1.0 / STEP_S)
+        chosen = greedy(turns, nodes.seconds, weights)
         count = len(chosen)
         seq[:count] = chosen
         dwell[1:count] = round(2 * np.pi / drive.speed / STEP_S)
@@ -143,7 +152,7 @@ def annealed(
     )
     return Choice(
         nodes=seq[:count].copy(), dwell=dwell[:count] * STEP_S, sense=sense, first=first,
-        seconds=result[1], missed=int(result[2]), missed_twice=int(result[3]), cost=result[0],
+        seconds=result[1], missed=float(result[2]), missed_twice=float(result[3]), cost=result[0],
     )  # fmt: skip
 
 

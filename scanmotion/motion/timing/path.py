@@ -22,6 +22,8 @@ from scanmotion.motion.transit.drive import limits_of
 from scanmotion.motion.transit_cost import jerk_limited_seconds
 
 _TABLE = 6
+SPARE_RAD = 1e-3
+"""The table stays this far inside its range, so that rounding does not take it beyond [rad]."""
 _LEAST_TURN = 1e-3
 """A table's turn that is smaller is left out [rad]."""
 
@@ -119,7 +121,7 @@ def turns_in(cell: Cell, seconds: float, angle: float, sense: float, first: floa
         sense: in which it sets out, +1 or -1.
         first: after how far it turns back for the first time [rad].
     """
-    low, high = float(cell.q_min[_TABLE]), float(cell.q_max[_TABLE])
+    low, high = float(cell.q_min[_TABLE]) + SPARE_RAD, float(cell.q_max[_TABLE]) - SPARE_RAD
     turns: list[float] = []
     while seconds > 0.2:
         room = high - angle if sense > 0 else angle - low

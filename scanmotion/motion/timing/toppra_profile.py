@@ -11,13 +11,16 @@ import logging
 from typing import Any
 
 import numpy as np
-from toppra.algorithm import TOPPRA
-from toppra.constraint import DiscretizationType, LinearConstraint
-from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
-from toppra.interpolator import AbstractGeometricPath
 
 from scanmotion.core.errors import TimingError
+from scanmotion.core.later import deferred
 from scanmotion.motion.timing.speed_profile import Derivatives
+
+with deferred("matplotlib.pyplot"):
+    from toppra.algorithm import TOPPRA
+    from toppra.constraint import DiscretizationType, LinearConstraint
+    from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
+    from toppra.interpolator import AbstractGeometricPath
 
 # toppra tells of every pass; what it cannot solve is told by an error below.
 logging.getLogger("toppra").setLevel(logging.ERROR)

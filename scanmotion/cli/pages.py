@@ -1,0 +1,19 @@
+"""The HTML files that go with a plan."""
+
+from typing import TYPE_CHECKING
+
+from scanmotion.cli.app import Progress
+
+if TYPE_CHECKING:
+    from scanmotion.planning.plan import Plan
+
+
+def pages(made: "Plan", progress: Progress) -> dict[str, str]:
+    """The two HTML files that go with a plan."""
+    from scanmotion.report.page import report_html
+    from scanmotion.report.scene import scene_html
+
+    progress("scene", 0.0)
+    scene = scene_html(made)
+    progress("report", 0.5)
+    return {"scene.html": scene, "report.html": report_html(made)}
