@@ -12,7 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from scanmotion.cli import app
-from scanmotion.cli.planning import finding_line, passes, summary_rows
+from scanmotion.cli.planning import summary_rows
+from scanmotion.core.summary import Summary
 
 COMMANDS = (
     "plan", "verify", "show", "export", "holes", "viewpoints", "reach", "robots", "fuse", "compare",
@@ -200,7 +201,8 @@ def test_reach_sweep_says_where_to_put_the_robot():
     assert max(row["share"] for row in rows) > 0.5
 
 
-SUMMARY = {
+DOCUMENT = {
+    "rounds": [],
     "viewpoints": {"global": 2, "local": 5, "unreachable": [{"id": "L1", "reason": "too far"}]},
     "completeness": {"after_global": 0.91, "final": 0.9995, "final_of_whole": 0.95},
     "accuracy": {"mean_abs_mm": 0.08, "sd_signed_mm": None, "mean_signed_mm": 0.0},
@@ -211,8 +213,12 @@ SUMMARY = {
 }
 
 
+def summary(**changed) -> Summary:
+    return Summary.model_validate(DOCUMENT | changed)
+
+
 def test_final_table_says_everything():
-    text = dict(summary_rows(SUMMARY))
+    text = dict(summary_rows(summary()))
     assert text["completeness, of what can be seen"] == "99.95%"
     assert "152" in text["time"] and "70.0 s" in text["time"]
     assert text["of which [s]"] == "arm 40.0, table 16.0, sweep 10.0, dwell 4.0"
@@ -221,14 +227,14 @@ def test_final_table_says_everything():
 
 
 def test_a_plan_passes_only_without_findings_and_in_time():
-    assert passes(SUMMARY)
-    assert not passes(SUMMARY | {"findings": ["too fast"]})
-    assert not passes(SUMMARY | {"budget": {"limit_s": 10.0, "ok": False}})
+    assert summary().passes
+    assert not summary(findings=["too fast"]).passes
+    assert not summary(budget=DOCUMENT["budget"] | {"limit_s": 10.0, "ok": False}).passes
 
 
 def test_findings_read_as_lines():
-    assert finding_line("A2 too fast") == "A2 too fast"
-    assert finding_line({"kind": "speed", "value": 3}) == "kind speed, value 3"
+    told = summary(findings=["A2 too fast", {"kind": "speed", "value": 3}])
+    assert told.finding_lines == ["A2 too fast", "kind speed, value 3"]
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):

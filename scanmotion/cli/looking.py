@@ -89,7 +89,7 @@ def show(
     quiet: Quiet = False,
 ) -> int:
     """Write scene.html and report.html of a plan again and open the scene."""
-    from scanmotion.cli.planning import pages
+    from scanmotion.cli.pages import pages
     from scanmotion.plan_io.load import load_plan
 
     plan = load_plan(folder)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from scanmotion.judge.motion import arm_of
 from scanmotion.judge.solids import PART, STILL, Solid, meeting_carriers, pairs_of, solids_of
-from scanmotion.plan_io.schema import PlanRecord, read_plan
+from scanmotion.plan_io.read import read_plan
+from scanmotion.plan_io.schema import PlanRecord
 
 
 def not_judged(folder: str | Path) -> list[dict[str, str]]:

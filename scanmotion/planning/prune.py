@@ -41,12 +41,12 @@ def prune(ctx: Context, *, before: PlanState, after: PlanState) -> PlanState:
         before, holes=after.holes, unscanned=after.unscanned, visible=after.visible, evidence=after.evidence
     )
     shorter, out, save = after, {}, 0.0
-    for _ in range(_TRIES):
+    for number in range(_TRIES):
         out = not_worth(stops, len(after.seen), rate=ctx.method.least_rate, save=save)
         if not out and sum(item.trajectory is not None for item in local) == 1 and _over(ctx, after) <= 0:
             return after
         kept = tuple(v for item in local for v in item.served if v.id not in out)
-        shorter = extend(ctx, base, kept, step="local", rng=ctx.rng(30))
+        shorter = extend(ctx, base, kept, step="local", rng=ctx.rng("prune", number))
         if _over(ctx, shorter) <= 0 or not kept:
             break
         save += _over(ctx, shorter) + 0.5

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from scanmotion.cell.build import Cell
 from scanmotion.core.part import Part
+from scanmotion.core.streams import fixed_stream
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.geometry.parts import surface_samples
@@ -192,7 +193,7 @@ def causes_of(plan: Plan) -> dict[str, str]:
 def _silhouette(above: "Axes", beside: "Axes", part: Part | None, radius: float) -> None:
     points = np.zeros((0, 3)) if part is None else part.vertices[:: max(1, len(part.vertices) // 4000)]
     if part is not None and part.is_mesh:
-        points = surface_samples(part, 8000, rng=np.random.default_rng(0)).points
+        points = surface_samples(part, 8000, rng=fixed_stream("silhouette")).points
     above.plot(points[:, 0], points[:, 1], ",", color="#b0b0b0", zorder=0)
     beside.plot(np.hypot(points[:, 0], points[:, 1]), points[:, 2], ",", color="#b0b0b0", zorder=0)
     turn = np.linspace(0.0, 2.0 * np.pi, 100)
