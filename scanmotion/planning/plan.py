@@ -71,7 +71,7 @@ class Plan:
     last_word: LastWord | None = None
     """What Drake says of the whole motion; None where nothing moves."""
     meta: Mapping[str, str] = field(default_factory=dict)
-    """What the user notes: object number, operator, date and the like; it stands in the summary and report."""
+    """What the user notes, as object number, operator, date; it stands in the summary and report."""
     summary: Summary | None = None
     """What the plan achieves and what the judge found; None until it is saved."""
 
