@@ -126,7 +126,7 @@ def test_a_planted_pillar_is_passed_by_about_the_shortest_way(kr240_cell, sides)
 
 
 def test_a_joint_line_is_taken_where_the_scanners_line_is_blocked(kr240_cell, sides, rng, monkeypatch):
-    from scanmotion.motion.transit.plan import plan as mut
+    from scanmotion.motion.transit import plan as mut
 
     # The joint line swings outwards; a thin post stands on the chord.
     joint = sides[0] + 0.5 * (sides[1] - sides[0])
@@ -150,7 +150,7 @@ def test_the_same_seed_plans_the_same_path(kr240_cell, sides):
 
 
 def test_a_closed_wall_names_what_blocks_and_which_stop(kr240_cell, sides, monkeypatch):
-    from scanmotion.motion.transit.plan import plan as mut
+    from scanmotion.motion.transit import plan as mut
 
     monkeypatch.setattr(mut, "_FEW_CHECKS", 50)
     walls = Walls(kr240_cell, everything_between(-0.2, 0.2))

@@ -9,6 +9,7 @@ import numpy as np
 
 from scanmotion.cell.build import build_cell
 from scanmotion.core.errors import InputError
+from scanmotion.core.streams import fixed_stream
 from scanmotion.core.viewpoint import look_at
 from scanmotion.job.frame_files import (
     INTRINSICS,
@@ -153,7 +154,7 @@ def known_constants(captures: Captures, job: Job) -> Captures:
     )
     if not errors.constant:
         return captures
-    return with_poses(captures, true_poses(captures, errors, np.random.default_rng(0)))
+    return with_poses(captures, true_poses(captures, errors, fixed_stream("known_constants")))
 
 
 def _scan_of(

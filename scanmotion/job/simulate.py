@@ -11,6 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scanmotion.cell.build import build_cell
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
+from scanmotion.core.streams import Streams
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.geometry.ply import ply_data, replaced
 from scanmotion.job.adding import known_constants
@@ -74,7 +75,7 @@ def write_simulated(
     scan = simulate(
         scene, settings.scanner_model(), known_constants(nominal, job),
         errors=ScanErrors(**settings.twin_errors()), stride=stride,
-        rng=np.random.default_rng([job.record.seed, 77, number]), progress=progress,
+        rng=Streams(seed=job.record.seed).child("job_scan", number), progress=progress,
     )  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
     names = [f"frame-{k:05d}.{kind}" for k in range(len(nominal))]

@@ -6,6 +6,7 @@ from dataclasses import asdict
 import numpy as np
 
 from scanmotion.core.part import Part
+from scanmotion.core.streams import fixed_stream
 from scanmotion.core.summary import (
     BeforeAfter,
     CalibrationSummary,
@@ -116,7 +117,7 @@ def surface_record(
         seen_points: points of the true surface that the scan saw, shape (n, 3) [m]; None for no way back.
     """
     made = Part(name="surface", vertices=surface[0], triangles=surface[1])
-    at = surface_samples(made, _SAMPLES, rng=np.random.default_rng(0)).points
+    at = surface_samples(made, _SAMPLES, rng=fixed_stream("reconstructed_samples")).points
     back: dict[str, float] = {}
     if seen_points is not None and len(seen_points):
         d = np.abs(distances_to(raycaster(made), seen_points, closed=False))

@@ -11,6 +11,7 @@ import numpy as np
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.core.errors import InputError, PathError
+from scanmotion.core.streams import Streams
 from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.core.trajectory import piece as piece_of
 from scanmotion.motion.transit.plan import transit
@@ -62,7 +63,7 @@ def _way_in(cell: Cell, seed: int, start: np.ndarray, rest: Trajectory) -> Traje
     if outside.any():
         name = cell.joint_names[int(np.flatnonzero(outside)[0])]
         raise InputError(f"--at: {name} is outside of its range")
-    rng = np.random.default_rng([seed, 91])
+    rng = Streams(seed=seed).child("way_in")
     try:
         path = transit(cell, Clearance(cell), start, rest.q[0], rng=rng)
     except PathError as error:

@@ -16,6 +16,7 @@ from scipy.special import erf
 
 from scanmotion.core.part import SurfaceSamples
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.streams import Streams, fixed_stream
 from scanmotion.sensing.simulator.captures import Captures, ScanErrors, inverse, motion, true_poses
 from scanmotion.sensing.visibility import Scene, seen_by_any, sees
 
@@ -140,7 +141,7 @@ def confidence(
     order = np.argsort((np.arange(len(X)) * 0.6180339887498949) % 1.0, kind="stable")
     shares, means = np.empty(draws), np.zeros(draws)
     for k in range(draws):
-        rng = np.random.default_rng([seed, 0xC0, k])
+        rng = Streams(seed=seed).child("confidence", k)
         drawn = _drawn(errors, unknown, rng)
         place = motion(rng.standard_normal((1, 6)) * ([unknown.place_m] * 3 + [unknown.place_rad] * 3))[0]
         # A part lies on its table: it is turned and shifted, but neither lifted nor tilted.
@@ -199,7 +200,7 @@ def _displacement(
         p: shape (m, 3) [m].
         n: shape (m, 3).
     """
-    still = np.random.default_rng(0)
+    still = fixed_stream("nominal_displacement")
     none = {"pose_m": 0.0, "pose_rad": 0.0, "jitter_s": 0.0}
     X = captures.X_OS
     change = [X @ inverse(true_poses(captures, replace(e, **none), still)) for e in (drawn, stated)]

@@ -15,6 +15,7 @@ from scanmotion.core.errors import PartError
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.scanner import Scanner
 from scanmotion.core.stopwatch import Stopwatch
+from scanmotion.core.streams import Streams
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.geometry.parts import check_fits, surface_samples
 from scanmotion.planning.evidence import Surroundings
@@ -127,9 +128,9 @@ class Context:
     progress: Progress
     watch: Stopwatch
 
-    def rng(self, stream: int) -> np.random.Generator:
-        """Each stage has a stream of its own, so that one stage's draws do not shift another's."""
-        return np.random.default_rng([self.options.seed, stream])
+    def rng(self, name: str, *numbers: int) -> np.random.Generator:
+        """The stream of a stage: one stage's draws do not shift another's."""
+        return Streams(seed=self.options.seed).child(name, *numbers)
 
     @property
     def prunes(self) -> bool:
@@ -193,7 +194,7 @@ def _solid(part: Part, measured: Cloud | None, spacing: float) -> Part:
 def _simulator(
     part: Part, cell: Cell, surroundings: Surroundings, options: PlanOptions, errors: ScanErrors
 ) -> Simulator:
-    rng = np.random.default_rng([options.seed, 1])
+    rng = Streams(seed=options.seed).child("surface_samples")
     return Simulator(
         part=part, cell=cell, scanner=cell.settings.scanner_model(), surroundings=surroundings,
         errors=errors, stride=options.stride, samples=surface_samples(part, options.samples, rng=rng),

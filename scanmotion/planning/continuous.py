@@ -33,8 +33,6 @@ from scanmotion.views.turn_poses import turn_poses
 NO_MOTION = {
     "kind": "stops", "note": "no continuous motion can be driven past this part in this cell: stops instead",
 }  # fmt: skip
-_STREAM = 40
-"""Of random numbers."""
 _STEPS = 4
 """So often the price of surface is changed to come to a completeness or a budget."""
 _FACTOR = 2.5
@@ -249,7 +247,7 @@ def continuous_step(ctx: Context, state: PlanState) -> PlanState | None:
             ctx.cell, ctx.clearance, ctx.part, ctx.simulator.scene,
             samples=(s.points, s.normals), visible=state.visible, start_q=ctx.cell.home,
             wanted=Wanted(completeness=options.completeness, budget_s=ctx.budget_s, fill=options.fill),
-            options=options.search, rng=ctx.rng(_STREAM),
+            options=options.search, rng=ctx.rng("continuous_motion"),
             progress=lambda f: ctx.progress("motion", f),
         )  # fmt: skip
     if made is None:
@@ -260,4 +258,4 @@ def continuous_step(ctx: Context, state: PlanState) -> PlanState | None:
         ),
         tour=made.tour, paths=made.paths, trajectory=made.trajectory, unreachable=(), seen=state.seen,
     )  # fmt: skip
-    return with_segment(ctx, replace(state, motion=made.record), segment, ctx.rng(2))
+    return with_segment(ctx, replace(state, motion=made.record), segment, ctx.rng("continuous_scan"))

@@ -47,7 +47,7 @@ def local_rounds(ctx: Context, state: PlanState) -> PlanState:
             return state
         prefix = f"R{number}" if number > 1 else ""
         worth = {prefix + name: seconds for name, seconds in chosen.worth.items()}
-        views, rng = renamed(chosen.views, prefix), ctx.rng(10 + number)
+        views, rng = renamed(chosen.views, prefix), ctx.rng("local_round", number)
         state = extend(ctx, state, views, step="local", rng=rng, worth=worth)
         if ctx.method.views_over_holes is not None or ctx.simulator is None:
             return state
@@ -80,7 +80,7 @@ def _chosen(ctx: Context, state: PlanState, cloud: Cloud, holes: HoleReport, num
         seconds=_seconds_left(ctx, state),
         reachable=(lambda X_OS: _reachable(ctx, state, X_OS)) if ctx.method.asks_reach else None,
         explain=ctx.simulator is None,
-        rng=ctx.rng(20 + number),
+        rng=ctx.rng("local_views", number),
     )  # fmt: skip
     known = replace(state, evidence=found.evidence, unscanned=found.step.unseen)
     return _Chosen(views=found.step.viewpoints, worth=found.worth, state=known)

@@ -101,7 +101,7 @@ def _own_views(
         ctx = replace(ctx, method=replace(ctx.method, order=partial(sequence, mode="given")))
     # One step: an order that is given may mix what a method would plan in two.
     views = tuple(replace(v, step="global") for v in viewpoints)
-    return plan_from(ctx, extend(ctx, begin(ctx), views, step="global", rng=ctx.rng(2)))
+    return plan_from(ctx, extend(ctx, begin(ctx), views, step="global", rng=ctx.rng("given_views")))
 
 
 def check_viewpoints(viewpoints: Sequence[Viewpoint]) -> None:
@@ -125,7 +125,7 @@ def global_step(ctx: Context, state: PlanState) -> PlanState:
     """The state with the method's global viewpoints planned."""
     with ctx.watch("viewpoints"):
         asked = ctx.method.global_views(ctx.part, ctx.settings)
-    state = extend(ctx, state, asked.viewpoints, step="global", rng=ctx.rng(2))
+    state = extend(ctx, state, asked.viewpoints, step="global", rng=ctx.rng("global_step"))
     return replace(state, dropped=asked.dropped)
 
 
@@ -202,7 +202,7 @@ def plan_from(ctx: Context, state: PlanState, *, left_out: Sequence[tuple[str, s
     note, word = "", None
     if state.trajectory is not None:
         with ctx.watch("motion"):
-            home, note = way_home(ctx.cell, ctx.clearance, state.trajectory.q[-1], rng=ctx.rng(90))
+            home, note = way_home(ctx.cell, ctx.clearance, state.trajectory.q[-1], rng=ctx.rng("way_home"))
         with ctx.watch("last word"):
             ctx.progress("last word", 0.0)
             cycle = state.trajectory if home is None else joined(state.trajectory, home)

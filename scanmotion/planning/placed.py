@@ -46,7 +46,7 @@ def without_needless(done: Sequence[Placed]) -> list[Placed]:
     kept = tuple(v for item in local for v in item.served if v.id not in out)
     state = first.after_global
     if kept:
-        state = extend(first.ctx, state, kept, step="local", rng=first.ctx.rng(30))
+        state = extend(first.ctx, state, kept, step="local", rng=first.ctx.rng("placed_local"))
     state = replace(state, holes=first.state.holes, visible=first.state.visible)
     fewer = [replace(first, state=state)]
     for item in later:
@@ -69,7 +69,7 @@ def _seen_again(item: Placed, seen: np.ndarray) -> Placed:
     """The placement with the same programme, scanned behind other earlier ones."""
     state = replace(begin(item.ctx), seen=seen)
     for number, segment in enumerate(item.state.segments):
-        state = with_segment(item.ctx, state, segment, item.ctx.rng(2 + number))
+        state = with_segment(item.ctx, state, segment, item.ctx.rng("placed", number))
     return replace(item, state=state)
 
 

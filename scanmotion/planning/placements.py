@@ -174,7 +174,7 @@ def _trial(item: Placed, clouds: list[tuple[Cloud, np.ndarray]], number: int) ->
     """How well a further placement is found again where the operator puts it a little wrong."""
     if not clouds:
         return None
-    rng = np.random.default_rng([item.ctx.options.seed, 700 + number])
+    rng = item.ctx.rng("placing_trial", number)
     return placing_trial(item.ctx, known_cloud(clouds, item.X_KO), rng)
 
 
@@ -277,7 +277,7 @@ def _further(first: Context, pose: RestingPose, seen: np.ndarray, ceiling: np.nd
         views = _views(ctx, state, ceiling, again)
         if not views:
             break
-        state = extend(ctx, state, views, step="global", rng=ctx.rng(2 + again))
+        state = extend(ctx, state, views, step="global", rng=ctx.rng("placement_again", again))
     if state.trajectory is None:
         return None
     return Placed(ctx=ctx, pose=pose, X_KO=X_KO, state=state, after_global=begun)

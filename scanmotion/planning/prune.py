@@ -12,6 +12,7 @@ import numpy as np
 from scanmotion.cell.build import Cell
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.core.part import SurfaceSamples
+from scanmotion.core.summary import NOT_WORTH
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.planning.context import Context
 from scanmotion.planning.segment import Segment, costs, with_left_out
@@ -40,12 +41,12 @@ def prune(ctx: Context, *, before: PlanState, after: PlanState) -> PlanState:
         before, holes=after.holes, unscanned=after.unscanned, visible=after.visible, evidence=after.evidence
     )
     shorter, out, save = after, {}, 0.0
-    for _ in range(_TRIES):
+    for number in range(_TRIES):
         out = not_worth(stops, len(after.seen), rate=ctx.method.least_rate, save=save)
         if not out and sum(item.trajectory is not None for item in local) == 1 and _over(ctx, after) <= 0:
             return after
         kept = tuple(v for item in local for v in item.served if v.id not in out)
-        shorter = extend(ctx, base, kept, step="local", rng=ctx.rng(30))
+        shorter = extend(ctx, base, kept, step="local", rng=ctx.rng("prune", number))
         if _over(ctx, shorter) <= 0 or not kept:
             break
         save += _over(ctx, shorter) + 0.5
@@ -162,7 +163,7 @@ def not_worth(stops: Sequence[StopSeen], samples: int, *, rate: float, save: flo
         stop = kept[least]
         adding = f"it adds {adds[least]:.3%} in {stop.seconds:.1f} s"
         if worth[least] < rate:
-            reason = f"not worth its seconds: {adding}"
+            reason = f"{NOT_WORTH}: {adding}"
         elif save > 0.0:
             reason = f"no seconds are left for it in the budget: {adding}"
             save -= stop.seconds

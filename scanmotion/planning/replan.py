@@ -78,11 +78,11 @@ def replan(
             raise InputError("the earlier plan has lost its measured cloud")
         state = replace(state, cloud=old.cloud)
     state = _with_executed(ctx, state, whole, finished, views)
-    given_up = dict(old.unreachable) | dict.fromkeys(failed, FAILED)
+    given_up = dict(old.left_out) | dict.fromkeys(failed, FAILED)
     for step in ("global", "local"):
         rest = [v for v in old.viewpoints if v.step == step and v.id not in served and v.id not in given_up]
         if rest:
-            rng = np.random.default_rng([ctx.options.seed, len(served), len(state.segments)])
+            rng = ctx.rng("replan", len(finished), len(state.segments))
             state = extend(ctx, state, rest, step=step, rng=rng)
     if not state.segments:
         raise InputError("no viewpoint is left to plan")
@@ -150,7 +150,7 @@ def _with_executed(
         while last + 1 < len(finished) and steps[last + 1] == steps[first]:
             last += 1
         segment = _executed(ctx, piece(whole, first, last), views, steps[first])
-        state = with_segment(ctx, state, segment, np.random.default_rng([ctx.options.seed, first, last]))
+        state = with_segment(ctx, state, segment, ctx.rng("executed", first, last))
         first = last + 1
     return state
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from scanmotion.cell.settings import CellSettings
 from scanmotion.core.part import Part
+from scanmotion.core.streams import Streams
 from scanmotion.motion.order.tsp import tour_from_cost
 from scanmotion.planning.comparison import HEADER, Row, cells, compare
 from scanmotion.planning.options import PlanOptions
@@ -23,7 +24,7 @@ from scanmotion.planning.pipeline import plan
 from scanmotion.planning.plan import Plan
 from scanmotion.report.assessment import Assessment, histogram_figure, map_figure
 from scanmotion.report.figures.maps import coverage_figure, hole_figure, new_figure, reach_figure
-from scanmotion.report.page import image, page, table
+from scanmotion.report.html import image, page, table
 from scanmotion.sensing.metrology.deviations import Limits, deviations
 from scanmotion.views.hole_views import grid_positions, paper_positions
 
@@ -88,7 +89,7 @@ def paper_experiments(
     places = np.array([v.p_OS for v in made.viewpoints if v.step == "local"]).reshape(-1, 3)
     return PaperExperiments(
         part=part, settings=settings, table=rows, made=made,
-        tour=tour_lengths(places, rng=np.random.default_rng(seeds[0])),
+        tour=tour_lengths(places, rng=Streams(seed=seeds[0]).child("paper_tour")),
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from scanmotion.core.errors import InputError
+from scanmotion.core.streams import fixed_stream
 from scanmotion.sensing.fusion.fuse import surface_groups
 from scanmotion.sensing.simulator.captures import Captures, ScanErrors, inverse, true_poses
 from scanmotion.sensing.simulator.simulate import Scan
@@ -162,7 +163,7 @@ def with_poses(captures: Captures, X_OS: np.ndarray) -> Captures:
 def _poses(scan: Scan, errors: ScanErrors) -> np.ndarray:
     if errors.pose_m or errors.pose_rad or errors.jitter_s:
         raise InputError("only constant errors can be corrected; pose noise or jitter is set")
-    return true_poses(scan.captures, errors, np.random.default_rng(0))
+    return true_poses(scan.captures, errors, fixed_stream("constant_errors"))
 
 
 def _equations(

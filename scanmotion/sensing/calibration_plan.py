@@ -14,6 +14,7 @@ import numpy as np
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.streams import Streams
 from scanmotion.core.viewpoint import look_at
 from scanmotion.sensing.calibration import Calibration, calibrate, prior_information, slopes
 from scanmotion.sensing.simulator.captures import ScanErrors
@@ -111,7 +112,7 @@ def best_turns(
             fps=fps * min(1.0, turn.speed),
             sense=turn.sense,
         )
-        rng = np.random.default_rng([seed, k])
+        rng = Streams(seed=seed).child("calibration_turn", k)
         scans.append(
             simulate(scene, scanner, captures, errors=errors or ScanErrors(), stride=stride, rng=rng)
         )

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.part import Part
+from scanmotion.core.streams import fixed_stream
 from scanmotion.sensing.cloud.sampling import even_samples
 from scanmotion.sensing.fusion.fuse import Cloud
 from scanmotion.sensing.holes.boundary import oriented_normals
@@ -32,7 +33,7 @@ def cloud_from_part(part: Part, *, spacing: float) -> Cloud:
         spacing = max(spacing, float(np.sqrt(area / _MOST_SAMPLES)))
         # Thinned random samples lie between one and two least distances apart.
         points, normals = even_samples(
-            part.vertices, part.triangles, 0.75 * spacing, rng=np.random.default_rng(0)
+            part.vertices, part.triangles, 0.75 * spacing, rng=fixed_stream("scan_from_mesh")
         )
     else:
         points = part.vertices

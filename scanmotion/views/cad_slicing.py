@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull
 from scanmotion.core.errors import PartError
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.streams import fixed_stream
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
 from scanmotion.geometry.parts import surface_samples
 from scanmotion.views.stepped_rotary import UPRIGHT
@@ -37,7 +38,7 @@ def cad_slicing(
     standoff = scanner.middle if standoff is None else standoff
     tall, wide = (float(side) * (1 - _OVERLAP) for side in scanner.field(standoff))
     # Vertices alone miss bands that a large triangle crosses.
-    points = surface_samples(part, 20_000, rng=np.random.default_rng(0)).points
+    points = surface_samples(part, 20_000, rng=fixed_stream("slicing_samples")).points
     low, high = part.bounds[:, 2]
     bands = max(1, int(np.ceil((high - low) / tall - 1e-9)))
     edges = np.linspace(low, high, bands + 1)

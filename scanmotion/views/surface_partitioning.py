@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from scanmotion.core.errors import PartError
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.streams import fixed_stream
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
 from scanmotion.geometry.parts import surface_samples
 
@@ -54,7 +55,7 @@ def surface_partitioning(
     if not part.is_mesh:
         raise PartError("surface partitioning needs the true mesh")
     standoff = scanner.middle if standoff is None else standoff
-    samples = surface_samples(part, _SAMPLES, rng=np.random.default_rng(0))
+    samples = surface_samples(part, _SAMPLES, rng=fixed_stream("partition_samples"))
     points = samples.points
     graph = _neighbours(points, samples.normals)
     normals = _smoothed(samples.normals, graph)
@@ -101,7 +102,7 @@ def _patches(
     least: float,
 ) -> list[np.ndarray]:
     """Samples of each patch: of several seeds the largest region is cut out, while it has `least` samples."""
-    free, rng, out = free.copy(), np.random.default_rng(1), []
+    free, rng, out = free.copy(), fixed_stream("partition_seeds"), []
     while free.any():
         seeds = rng.choice(np.flatnonzero(free), size=min(_SEEDS, int(free.sum())), replace=False)
         grown = [_grown(int(seed), points, normals, free, graph, half, deviation) for seed in seeds]

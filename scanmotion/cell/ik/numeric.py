@@ -10,6 +10,7 @@ from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInert
 from pydrake.solvers import SnoptSolver, SolverOptions
 
 from scanmotion.cell.robot import Robot, Solved, arm_jacobian, arm_poses, clean_angle, least_singular
+from scanmotion.core.streams import fixed_stream
 
 SEEDS = 12
 _NEAR_M, _NEAR_RAD = 1e-3, 1e-2
@@ -29,7 +30,7 @@ class NumericArm:
         self.plant = _plant(robot)
         span = np.minimum(robot.upper - robot.lower, 2 * np.pi)
         middle = np.clip(0.0, robot.lower + span / 2, robot.upper - span / 2)
-        self.seeds = middle + (np.random.default_rng(0).random((SEEDS, 6)) - 0.5) * span
+        self.seeds = middle + (fixed_stream("numeric_ik_starts").random((SEEDS, 6)) - 0.5) * span
         steps = np.linalg.norm(robot.X_PJ[1:, :3, 3], axis=1).sum() + np.linalg.norm(robot.X_6F[:3, 3])
         self.length = float(steps)
         self.options = SolverOptions()

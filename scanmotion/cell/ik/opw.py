@@ -9,6 +9,7 @@ from py_opw_kinematics import Robot as OpwRobot
 from scipy.spatial.transform import RigidTransform
 
 from scanmotion.cell.robot import Robot, Solved, arm_poses
+from scanmotion.core.streams import fixed_stream
 
 _EDGE_M = 1e-10
 """A wrist this near to the edge of the reach is taken for on it, and solved as far inside [m]."""
@@ -126,7 +127,7 @@ def opw_arm(robot: Robot) -> OpwArm | None:
     wrist"; what is returned has been checked against the URDF's own kinematics. None where the arm is not of
     this kind.
     """
-    q = np.random.default_rng(0).uniform(-2, 2, (6, 6))
+    q = fixed_stream("opw_check").uniform(-2, 2, (6, 6))
     target = arm_poses(robot, q)[:, 6] @ robot.X_6F
     for turns in product((0, -1, 1), repeat=2):
         up = np.array([0.0, *(np.pi / 2 * t for t in turns), 0.0, 0.0, 0.0])

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scanmotion.core.streams import fixed_stream
+
 _TRIES = 400
 _TILT = np.cos(np.deg2rad(8.0))
 _LEAST_SHARE = 0.04
@@ -81,7 +83,7 @@ def _lowest_plane(points: np.ndarray, up: np.ndarray, reach: float) -> tuple[np.
     low = np.flatnonzero(z < z.min() + 0.34 * np.ptp(z))
     if len(low) < 50:
         return None
-    rng = np.random.default_rng(0)
+    rng = fixed_stream("floor_plane")
     some = points[low[rng.integers(len(low), size=min(4000, len(low)))]]
     best, found = 0, None
     for _ in range(_TRIES):

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
+from scanmotion.core.streams import fixed_stream
 from scanmotion.geometry.mending.edges import areas_of, bodies_of, pieces
 
 _ISLAND = 0.05
@@ -84,7 +85,7 @@ def spread_samples(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndar
     cross = np.cross(b - a, c - a)
     area = np.linalg.norm(cross, axis=1)
     edges = np.cumsum(area)
-    rng = np.random.default_rng(0)
+    rng = fixed_stream("speck_samples")
     at = (np.arange(_NEAR_ENOUGH) + rng.random(_NEAR_ENOUGH)) / _NEAR_ENOUGH * edges[-1]
     rows = np.minimum(np.searchsorted(edges, at, side="right"), len(area) - 1)
     u, v = rng.random((2, len(rows)))

@@ -64,11 +64,11 @@ def transits(
     Raises:
         PathError: no way was found; names the two bodies that are in the way and the stop.
     """
-    seeds = rng.integers(1, 2**31 - 1, size=len(tour.stops))
+    draws = rng.spawn(len(tour.stops))
     at = np.asarray(tour.start_q, dtype=float)
     paths = []
     for n, stop in enumerate(tour.stops):
-        paths.append(_transit(cell, clearance, at, np.asarray(stop.q_in, dtype=float), int(seeds[n]), n))
+        paths.append(_transit(cell, clearance, at, np.asarray(stop.q_in, dtype=float), draws[n], n))
         at = np.asarray(stop.q_out, dtype=float)
         if progress is not None:
             progress((n + 1) / len(tour.stops))
@@ -79,10 +79,12 @@ def transit(
     cell: Cell, clearance: Clearance, qa: np.ndarray, qb: np.ndarray, *, rng: np.random.Generator
 ) -> Path:
     """A collision-free path from qa to qb, shape (7,) each; see `transits`."""
-    return _transit(cell, clearance, qa, qb, int(rng.integers(1, 2**31 - 1)), 0)
+    return _transit(cell, clearance, qa, qb, rng, 0)
 
 
-def _transit(cell: Cell, clearance: Clearance, qa: np.ndarray, qb: np.ndarray, seed: int, stop: int) -> Path:
+def _transit(
+    cell: Cell, clearance: Clearance, qa: np.ndarray, qb: np.ndarray, rng: np.random.Generator, stop: int
+) -> Path:
     if np.abs(qb - qa).max() < 1e-9:
         return Path(q=np.array([qa, qb]), seconds=0.0, method="joint")
     candidates = ways(cell, qa, qb)
@@ -90,7 +92,6 @@ def _transit(cell: Cell, clearance: Clearance, qa: np.ndarray, qb: np.ndarray, s
     least = float(least_seconds(cell, qa, qb)[0])
     if direct is not None and direct.seconds <= max(_SLOW * least, least + _SLOW_S):
         return direct
-    rng = np.random.default_rng(seed)
     found = [direct] if direct is not None else []
     for attempt in range(_TRIES):
         planned = _planned(cell, clearance, qa, qb, rng, attempt)

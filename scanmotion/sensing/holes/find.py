@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from scanmotion.core.errors import HoleError
+from scanmotion.core.streams import fixed_stream
 from scanmotion.sensing.cloud.orient import signs_by_spanning_tree
 from scanmotion.sensing.cloud.sampling import even_samples, prepared
 from scanmotion.sensing.holes.boundary import check_points, check_unit, neighbour_radius
@@ -288,7 +289,7 @@ def holes_from_mesh(
         min_size: perimeter under which a loop is tiny [m]; 10 median edges unless given.
         min_vertices: a loop of fewer vertices is tiny ("loops" only).
         weld: whether vertices of equal coordinates are one; not so for a part from a file ("loops" only).
-        rng: for "resample"; seed 0 unless given.
+        rng: for "resample"; a fixed stream unless given.
         options: of `holes_from_cloud`. Mode "paper" asks for "resample".
 
     Returns:
@@ -306,7 +307,7 @@ def holes_from_mesh(
         raise HoleError("all triangles of the mesh are degenerate")
     edge = float(np.median(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2)))
     if method == "resample" or options.get("mode") == "paper":
-        rng = np.random.default_rng(0) if rng is None else rng
+        rng = fixed_stream("hole_samples") if rng is None else rng
         points, normals = even_samples(mesh.vertices, mesh.triangles, spacing or edge, rng=rng)
         report = holes_from_cloud(points, normals=normals, min_size=min_size, **options)
         return replace(report, boundary_mask=np.zeros(len(vertices), bool))

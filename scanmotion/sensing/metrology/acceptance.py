@@ -13,6 +13,7 @@ import numpy as np
 
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.streams import Streams
 from scanmotion.core.viewpoint import look_at
 from scanmotion.geometry.parts import box_part
 from scanmotion.sensing.fusion.fuse import fuse
@@ -82,7 +83,7 @@ def acceptance(
     bars, planes = bar_poses(), plane_poses()
     found_bars, found_planes = [], []
     for k, X in enumerate([*bars, *planes]):
-        rng = np.random.default_rng([seed, k])
+        rng = Streams(seed=seed).child("acceptance", k)
         if k < len(bars):
             p = _scanned(_bar(X), scanner, table, errors, stride, rng)
             found_bars.append(ball_bar_from(p, diameter=DIAMETER, spacing=SPACING))

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part, SurfaceSamples
+from scanmotion.core.streams import fixed_stream
 from scanmotion.geometry.parts import surface_samples
 from scanmotion.sensing.assess import covered_samples, raycaster, signed_distances
 from scanmotion.sensing.visibility import tangents
@@ -135,7 +136,7 @@ def deviations(
             f"no point lies within {limits.cut * 1e3:g} mm of {part.name}: are both in one frame and unit?"
         )
     p, d = points[keep], d[keep]
-    samples = surface_samples(part, limits.samples, rng=np.random.default_rng(0))
+    samples = surface_samples(part, limits.samples, rng=fixed_stream("deviation_samples"))
     covered = covered_samples(
         samples, p, normals[keep], distance=limits.cover_distance, angle=limits.cover_angle
     )

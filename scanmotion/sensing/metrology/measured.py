@@ -6,6 +6,7 @@ import numpy as np
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
+from scanmotion.core.streams import fixed_stream
 from scanmotion.geometry.mending.mend_cloud import measured_points, with_checked_normals
 from scanmotion.geometry.mending.mend_mesh import mended
 from scanmotion.geometry.part_files import read_geometry
@@ -51,7 +52,7 @@ def measured_cloud(path: Path, units: str) -> tuple[np.ndarray, np.ndarray]:
         if not np.isfinite(raw.vertices).all():
             raise InputError(f"{path}: vertices that are not finite numbers")
         part = Part(name=path.stem, vertices=raw.vertices * scale, triangles=raw.triangles)
-        samples = surface_samples(part, _SAMPLES, rng=np.random.default_rng(0))
+        samples = surface_samples(part, _SAMPLES, rng=fixed_stream("measured_samples"))
         return samples.points, samples.normals
     made = with_checked_normals(measured_points(raw.vertices, raw.normals, str(path)))
     points, normals = made.points * scale, made.normals
