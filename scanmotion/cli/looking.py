@@ -21,6 +21,10 @@ def verify(
         Path | None,
         typer.Option("--plan", help="The plan that a programme was made from; by default the file's folder."),
     ] = None,
+    margins: Annotated[
+        bool,
+        typer.Option("--margins", help="Tell too what is to spare: distances, joints, speeds."),
+    ] = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:
@@ -28,19 +32,27 @@ def verify(
     speeds, viewpoints, order, handshake.
     """
     if folder.is_file():
+        if margins:
+            raise InputError("--margins: of a plan's folder, not of a programme's file")
         return _verify_programme(folder, plan, quiet=quiet, json=json)
     if plan is not None:
         raise InputError("--plan: belongs to a programme's file, not to a plan's folder")
+    from scanmotion.judge import margins_of
     from scanmotion.judge import verify as judge
     from scanmotion.judge.left_out import not_judged
+    from scanmotion.report.words import margin_rows
 
     with progress_bar(quiet=quiet or json):
         findings = judge(folder)
+        spare = margins_of(folder) if margins else None
     if json:
         told = {"ok": not findings, "findings": [str(f) for f in findings]}
+        told |= {} if spare is None else {"margins": spare.model_dump(mode="json")}
         say_json(told | {"not_judged": not_judged(folder)})
     elif not quiet:
         _say_findings([str(f) for f in findings])
+        if spare is not None:
+            print_table("To spare", ("", "least or greatest", "where", "at"), margin_rows(spare))
         rows = [(pair["a"], pair["b"], pair["reason"]) for pair in not_judged(folder)]
         print_table("Pairs that are not judged", ("", "", "reason"), rows)
     return CHECK_FAILED if findings else OK
