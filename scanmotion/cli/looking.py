@@ -219,6 +219,6 @@ def _risk_sheet(folder: Path, out: Path, name: str) -> list[Path]:
     from scanmotion.export.source import write_files
     from scanmotion.judge.left_out import not_judged
     from scanmotion.judge.risk import risk_of
-    from scanmotion.report.risk_page import risk_files
+    from scanmotion.judge.risk_page import risk_files
 
     return write_files(out, risk_files(risk_of(folder), name, not_judged(folder)))
