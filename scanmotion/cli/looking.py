@@ -191,10 +191,13 @@ def export(
     at: Annotated[
         str | None, typer.Option("--at", help="Where the robot stands: A1,..,A6,E1 in degrees.")
     ] = None,
+    risk: Annotated[
+        bool, typer.Option("--risk/--no-risk", help="A risk sheet beside a programme.", rich_help_panel=OUT)
+    ] = True,
     quiet: Quiet = False,
 ) -> int:
-    """Write a plan for a controller or another program."""
-    from scanmotion.export import export_plan
+    """Write a plan for a controller or another program, and beside a programme its risk sheet."""
+    from scanmotion.export import PROGRAMMES, export_plan
 
     if out is not None and out.exists() and not out.is_dir():
         raise InputError(f"--out {out}: is not a folder")
@@ -202,7 +205,20 @@ def export(
         folder = _rest_folder(folder, out, step, at)
     elif at is not None:
         raise InputError("--at: belongs to --rest or --step")
-    for path in export_plan(folder, to, out=out, name=name, signal=signal, dry_run=dry_run):
+    paths = export_plan(folder, to, out=out, name=name, signal=signal, dry_run=dry_run)
+    if risk and to in PROGRAMMES:
+        paths += _risk_sheet(folder, folder if out is None else out, name)
+    for path in paths:
         if not quiet:
             typer.echo(str(path))
     return OK
+
+
+def _risk_sheet(folder: Path, out: Path, name: str) -> list[Path]:
+    """Writes the risk sheet of the plan."""
+    from scanmotion.export.source import write_files
+    from scanmotion.judge.left_out import not_judged
+    from scanmotion.judge.risk import risk_of
+    from scanmotion.judge.risk_page import risk_files
+
+    return write_files(out, risk_files(risk_of(folder), name, not_judged(folder)))
