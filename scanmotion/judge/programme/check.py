@@ -170,6 +170,8 @@ def _tool(controller: Controller, system: dict[Any, Any]) -> list[Finding]:
     tool = system.get(("TOOL_DATA", s.tool_number, ""))
     load = system.get(("LOAD_DATA", s.tool_number, ""))
     base = system.get(("BASE_DATA", s.base_number, ""))
+    if tool is None or load is None:
+        return [Finding(code="limits", message="tool, base or load are not set", where="tool")]
     try:
         if np.abs(pose_of(tool) - np.array(controller.record.X_FS)).max() > 1e-5:
             findings.append(
