@@ -35,7 +35,7 @@ class ViewpointSummary(Open):
     """Which solver found the pose of each viewpoint that is served, by id."""
 
 
-class Completeness(Open):
+class CompletenessSummary(Open):
     """Shares after the global step and at the end, of what can be seen; and of the whole surface; 0..1."""
 
     after_global: Real | None
@@ -230,7 +230,7 @@ class Summary(Open):
     """summary.json."""
 
     viewpoints: ViewpointSummary
-    completeness: Completeness
+    completeness: CompletenessSummary
     within_reach: WithinReach = WithinReach(share=None, scanned=None)
     rounds: list[RoundSummary]
     searched: list[RoundSummary] = []
