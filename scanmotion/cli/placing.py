@@ -92,7 +92,7 @@ def plan_placed(
 
 
 def _why(plan: "Plan") -> str:
-    return "; ".join(f"{name}: {reason}" for name, reason in plan.unreachable[:3])
+    return "; ".join(f"{name}: {reason}" for name, reason in plan.left_out[:3])
 
 
 def say_placed(out: Path, *, quiet: bool, json: bool) -> int:

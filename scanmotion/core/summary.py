@@ -18,6 +18,10 @@ class Open(BaseModel):
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, populate_by_name=True)
 
 
+NOT_WORTH = "not worth its seconds"
+"""How the reason begins for which a viewpoint is left out that the robot could serve."""
+
+
 class LeftOut(Open):
     """A viewpoint that no operation serves."""
 
@@ -31,8 +35,16 @@ class ViewpointSummary(Open):
     global_: Count = Field(alias="global")
     local: Count
     unreachable: list[LeftOut]
+    """What the robot cannot serve."""
+    not_worth: list[LeftOut] = []
+    """What it could serve, and what adds less than its seconds are worth."""
     solvers: dict[str, str] = {}
     """Which solver found the pose of each viewpoint that is served, by id."""
+
+    @property
+    def left_out(self) -> list[LeftOut]:
+        """Every viewpoint that no operation serves."""
+        return [*self.unreachable, *self.not_worth]
 
 
 class CompletenessSummary(Open):
@@ -248,6 +260,8 @@ class Summary(Open):
     findings: list[str | dict[str, JsonValue]]
     planning_s: dict[str, Real]
     read: ReadSummary | None = None
+    meta: dict[str, str] = {}
+    """What the user noted: object number, operator, date, notes."""
 
     @property
     def passes(self) -> bool:

@@ -118,7 +118,7 @@ def _left(made: Any) -> dict[str, Any]:
     for patch in made.unscanned:
         areas[patch.reason] = areas.get(patch.reason, 0.0) + float(patch.area) * 1e6
     reasons: dict[str, int] = {}
-    for _, why in made.unreachable:
+    for _, why in made.left_out:
         reasons[why] = reasons.get(why, 0) + 1
     return {
         "stays_out": [f"{area:.0f} mm2: {why}" for why, area in sorted(areas.items(), key=lambda x: -x[1])],

@@ -50,6 +50,7 @@ def summary_from(plan: Plan, findings: Sequence[Finding]) -> Summary:
             "global": sum(v.step == "global" for v in served),
             "local": sum(v.step == "local" for v in served),
             "unreachable": [LeftOut(id=name, reason=reason) for name, reason in plan.unreachable],
+            "not_worth": [LeftOut(id=name, reason=reason) for name, reason in plan.not_worth],
             "solvers": plan.solvers,
         },
         "completeness": CompletenessSummary(**_rounded(plan.completeness())),
@@ -74,6 +75,7 @@ def summary_from(plan: Plan, findings: Sequence[Finding]) -> Summary:
         **({} if plan.motion is None else {"motion": dict(plan.motion)}),
         **({} if plan.last_word is None else {"drake": _drake(plan.last_word)}),
         **({} if plan.part.report is None else {"read": plan.part.report.record()}),
+        **({"meta": dict(plan.meta)} if plan.meta else {}),
         "findings": [str(f) for f in findings],
         "planning_s": {k: round(v, 2) for k, v in plan.planning_s.items()},
     }  # fmt: skip

@@ -11,7 +11,7 @@ from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.last_word import LastWord
 from scanmotion.core.finding import Finding
 from scanmotion.core.part import Part, SurfaceSamples
-from scanmotion.core.summary import Summary
+from scanmotion.core.summary import NOT_WORTH, Summary
 from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.planning.confidence import Confidence
@@ -70,6 +70,8 @@ class Plan:
     """The continuous motion, as the summary tells it; None for stops."""
     last_word: LastWord | None = None
     """What Drake says of the whole motion; None where nothing moves."""
+    meta: Mapping[str, str] = field(default_factory=dict)
+    """What the user notes, as object number, operator, date; it stands in the summary and report."""
     summary: Summary | None = None
     """What the plan achieves and what the judge found; None until it is saved."""
 
@@ -79,9 +81,19 @@ class Plan:
         return tuple(r.viewpoint for item in self.segments for r in item.reaches)
 
     @property
-    def unreachable(self) -> tuple[tuple[str, str], ...]:
+    def left_out(self) -> tuple[tuple[str, str], ...]:
         """(id, reason) of viewpoints that no operation serves."""
         return self.dropped + tuple(pair for item in self.segments for pair in item.unreachable)
+
+    @property
+    def unreachable(self) -> tuple[tuple[str, str], ...]:
+        """(id, reason) of those that the robot cannot serve."""
+        return tuple(pair for pair in self.left_out if not pair[1].startswith(NOT_WORTH))
+
+    @property
+    def not_worth(self) -> tuple[tuple[str, str], ...]:
+        """(id, reason) of those that it could serve and that add less than their seconds are worth."""
+        return tuple(pair for pair in self.left_out if pair[1].startswith(NOT_WORTH))
 
     @property
     def seen(self) -> np.ndarray | None:

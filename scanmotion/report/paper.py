@@ -24,7 +24,7 @@ from scanmotion.planning.pipeline import plan
 from scanmotion.planning.plan import Plan
 from scanmotion.report.assessment import Assessment, histogram_figure, map_figure
 from scanmotion.report.figures.maps import coverage_figure, hole_figure, new_figure, reach_figure
-from scanmotion.report.page import image, page, table
+from scanmotion.report.html import image, page, table
 from scanmotion.sensing.metrology.deviations import DeviationLimits, deviations
 from scanmotion.views.hole_views import grid_positions, paper_positions
 

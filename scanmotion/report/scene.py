@@ -196,7 +196,7 @@ def _cloud(meshcat: Meshcat, points: np.ndarray) -> None:
 
 
 def _viewpoints(meshcat: Meshcat, plan: Plan) -> None:
-    lost = dict(plan.unreachable)
+    lost = dict(plan.left_out)
     scanner = plan.cell.settings.scanner_model()
     edges = field_edges(scanner, 0.02, 0.10)
     for view in plan.viewpoints:

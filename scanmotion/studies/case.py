@@ -124,11 +124,11 @@ def _planned(
         "floor_s": float(time_s["floor"]),
         "mean_abs_mm": accuracy.mean_abs * 1e3 if accuracy else None,
         "sd_signed_mm": accuracy.sd_signed * 1e3 if accuracy else None,
-        "viewpoints": float(len(made.viewpoints) - len(made.unreachable)),
+        "viewpoints": float(len(made.viewpoints) - len(made.left_out)),
         "unreachable": float(len(made.unreachable)),
         "findings": float(len(summary.get("findings", ()))),
     }
-    reason = "" if made.trajectory is not None else _why(made.unreachable)
+    reason = "" if made.trajectory is not None else _why(made.left_out)
     return figures, reason, hashlib.sha256(data).hexdigest()
 
 
