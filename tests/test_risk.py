@@ -1,12 +1,19 @@
 """Figures of the risk sheet on a plan made by hand, against closed forms and brute force."""
 
+import json
+
 import numpy as np
 import pytest
 from exported_plan import made_by_hand
 from fake_plan import trajectory_through
+from typer.testing import CliRunner
 
-from scanmotion.cell.kinematics import flange_poses, scanner_poses
+from scanmotion.cell.build import build_cell
+from scanmotion.cell.kinematics import flange_poses, link_poses, scanner_poses
+from scanmotion.cell.settings import load_cell
+from scanmotion.cli import app
 from scanmotion.export.source import write_files
+from scanmotion.geometry.part_files import read_geometry
 from scanmotion.geometry.parts import box_part
 from scanmotion.judge.contact import exact_distance
 from scanmotion.judge.motion import motion_from
@@ -27,9 +34,6 @@ def part():
 
 @pytest.fixture(scope="module")
 def cell(part):
-    from scanmotion.cell.build import build_cell
-    from scanmotion.cell.settings import load_cell
-
     return build_cell(load_cell("kr240"), part)
 
 
@@ -74,8 +78,6 @@ def test_speeds_and_stops_are_those_of_a_turn_about_a1(cell, risk):
 
 
 def test_the_elbow_is_on_the_axis_of_a3(cell, risk):
-    from scanmotion.cell.kinematics import link_poses
-
     p = link_poses(cell, cell.home[None])[0, 3, :3, 3]
     v = FASTEST * np.linalg.norm(p[:2] - cell.X_WB[:2, 3])
     assert risk.operations[0].speed_m_s["elbow"] == pytest.approx(v, rel=1e-3)
@@ -130,3 +132,25 @@ def test_least_distances_agree_with_brute_force(risk, every):
     assert gap.distance_m - UNSURE_M <= least and gap.distance_m <= least + UNSURE_M
     assert [g.distance_m for g in risk.gaps] == sorted(g.distance_m for g in risk.gaps)
     assert {"part", "floor"} <= {g.around for g in risk.gaps}
+
+
+def test_export_writes_the_sheet_beside_a_programme_and_nothing_else(folder, risk, tmp_path):
+    args = ["export", str(folder), "--out", str(tmp_path / "out"), "--to"]
+    assert CliRunner().invoke(app, [*args, "krl-timed"]).exit_code == 0
+    assert {"scan_risk.html", "scan_risk.json", "scan_risk.ply"} <= {
+        p.name for p in (tmp_path / "out").iterdir()
+    }
+    data = json.loads((tmp_path / "out" / "scan_risk.json").read_text())
+    assert data["greatest_speed_m_s"]["flange"] == pytest.approx(
+        risk.operations[0].speed_m_s["flange"], abs=1e-4
+    )
+    assert len(data["operations"]) == 2 and data["not_in_the_model"]
+    np.testing.assert_allclose(data["swept"]["low_m"], risk.low_m, atol=1e-4)
+    mesh = read_geometry(tmp_path / "out" / "scan_risk.ply")
+    np.testing.assert_allclose(mesh.vertices.max(axis=0), risk.high_m, atol=1e-5)
+    page = (tmp_path / "out" / "scan_risk.html").read_text()
+    assert "ISO 10218-2:2025" in page and f"{risk.operations[0].speed_m_s['flange'] * 1e3:.0f}" in page
+    args[3] = str(tmp_path / "bare")
+    for more in (["csv"], ["krl", "--no-risk"]):
+        assert CliRunner().invoke(app, [*args, *more]).exit_code == 0
+    assert not [p for p in (tmp_path / "bare").iterdir() if "risk" in p.name]

@@ -238,6 +238,51 @@ class MotionSummary(Open):
     curve: list[CurveSummary] = []
 
 
+class Margin(Open):
+    """The least distance of two solids and when; -0.001 mm where they touch."""
+
+    mm: Real
+    a: str
+    b: str
+    t_s: Real
+
+
+class JointMargin(Open):
+    """The joint that comes nearest to an end of its range, and when."""
+
+    joint: str
+    deg: Real
+    t_s: Real
+
+
+class Extreme(Open):
+    """An extreme value, a speed in [m/s], and when."""
+
+    value: Real
+    t_s: Real
+
+
+class FastestSummary(Open):
+    """Greatest speeds [m/s] of the flange, the elbow and the scanner's optical centre."""
+
+    flange: Extreme
+    elbow: Extreme
+    scanner: Extreme
+
+
+class MarginsSummary(Open):
+    """How much the programme has to spare, by the judge's kinematics and solids."""
+
+    to_object: Margin | None
+    """Between robot or tool and the part."""
+    to_surroundings: Margin | None
+    """Between robot or tool and all that stands around."""
+    joint_limit: JointMargin | None
+    singularity: Extreme
+    """Least singular value of the flange's Jacobian, a metre weighed as a radian; 0 is singular."""
+    fastest: FastestSummary
+
+
 class Summary(Open):
     """summary.json."""
 
@@ -260,6 +305,7 @@ class Summary(Open):
     findings: list[str | dict[str, JsonValue]]
     planning_s: dict[str, Real]
     read: ReadSummary | None = None
+    margins: MarginsSummary | None = None
     meta: dict[str, str] = {}
     """What the user noted: object number, operator, date, notes."""
 

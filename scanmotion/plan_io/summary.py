@@ -16,6 +16,7 @@ from scanmotion.core.summary import (
     FormSummary,
     HelixSummary,
     LeftOut,
+    MarginsSummary,
     PatchSummary,
     RoundSummary,
     Summary,
@@ -37,12 +38,13 @@ from scanmotion.sensing.fusion.surface import surface
 __all__ = ["summary_from", "surface_from"]
 
 
-def summary_from(plan: Plan, findings: Sequence[Finding]) -> Summary:
+def summary_from(plan: Plan, findings: Sequence[Finding], margins: MarginsSummary | None = None) -> Summary:
     """What the plan achieves; docs/results.md says what each figure means.
 
     Args:
         plan: as it was made.
         findings: what the judge says of its files.
+        margins: what the programme has to spare, where it was measured.
     """
     served = [v for item in plan.segments for v in item.served]
     told = {
@@ -75,6 +77,7 @@ def summary_from(plan: Plan, findings: Sequence[Finding]) -> Summary:
         **({} if plan.motion is None else {"motion": dict(plan.motion)}),
         **({} if plan.last_word is None else {"drake": _drake(plan.last_word)}),
         **({} if plan.part.report is None else {"read": plan.part.report.record()}),
+        **({} if margins is None else {"margins": margins}),
         **({"meta": dict(plan.meta)} if plan.meta else {}),
         "findings": [str(f) for f in findings],
         "planning_s": {k: round(v, 2) for k, v in plan.planning_s.items()},

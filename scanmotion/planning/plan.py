@@ -178,7 +178,7 @@ class Plan:
             PlanFileError: the folder cannot be written.
             InputError: there is no trajectory to write.
         """
-        from scanmotion.judge import verify
+        from scanmotion.judge import margins_of, verify
         from scanmotion.plan_io.save import save
 
-        return list(save(self, folder, judge=verify, pages=pages, extras=extras).findings)
+        return list(save(self, folder, judge=verify, measure=margins_of, pages=pages, extras=extras).findings)

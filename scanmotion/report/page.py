@@ -14,7 +14,7 @@ from scanmotion.report.figures.charts import curve_figure, joint_figure, tcp_fig
 from scanmotion.report.figures.maps import cell_figure
 from scanmotion.report.html import image, page, section, table
 from scanmotion.report.surface import coverage, holes, viewpoints
-from scanmotion.report.words import first_sentence, glossary, sheet
+from scanmotion.report.words import first_sentence, glossary, margin_rows, sheet
 
 PACKAGES = (
     "drake",
@@ -42,7 +42,7 @@ def report_html(plan: Plan) -> str:
     if summary is None:
         raise InputError("this plan has not been judged: save it, then report what is loaded")
     first = [_head(plan, summary), coverage(plan, summary), _numbers(summary), _seconds(plan, summary)]
-    first += [_findings(summary), section("Release", sheet(summary.meta))]
+    first += [_margins(summary), _findings(summary), section("Release", sheet(summary.meta))]
     appendix = [
         section("What the words mean", glossary()),
         holes(plan),
@@ -171,6 +171,17 @@ def _budget(budget: BudgetSummary) -> str:
         header = ("operation", "kind", "viewpoints", "seconds", "of which the way", "lost without it")
         parts += ["<p>The costliest stops:</p>", table(header, rows)]
     return section("Budget", *parts) if parts else ""
+
+
+def _margins(summary: Summary) -> str:
+    if summary.margins is None:
+        return ""
+    return section(
+        "What it has to spare",
+        table(("", "least or greatest", "where", "at"), margin_rows(summary.margins)),
+        '<p class="note">Found in the written files by the judge, not by the planner, with the model\'s '
+        "solids; <code>scanmotion verify</code> lists the pairs of solids that it leaves out, and why.</p>",
+    )
 
 
 def _findings(summary: Summary) -> str:

@@ -5,7 +5,7 @@ from html import escape
 
 import numpy as np
 
-from scanmotion.core.summary import Summary
+from scanmotion.core.summary import MarginsSummary, Summary
 from scanmotion.planning.plan import Plan
 from scanmotion.report.html import table
 
@@ -73,6 +73,25 @@ def sheet(meta: Mapping[str, str]) -> str:
     rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(meta.get(name, ''))}</td></tr>" for name in names)
     sign = "<tr><th>checked and released by</th><td></td></tr><tr><th>signature, date</th><td></td></tr>"
     return f'<table class="sheet">{rows}{sign}</table>'
+
+
+def margin_rows(margins: MarginsSummary) -> list[tuple[str, str, str, str]]:
+    """What the programme has to spare: what, how much, where and when."""
+    rows = []
+    for what, found in (("the object", margins.to_object), ("all else", margins.to_surroundings)):
+        if found is not None:
+            told = "they touch" if found.mm <= 0 else f"{found.mm:.1f} mm"
+            rows.append((f"least distance to {what}", told, f"{found.a}, {found.b}", f"{found.t_s:.2f} s"))
+    end = margins.joint_limit
+    if end is not None:
+        rows.append(("least way to a joint's end", f"{end.deg:.1f} deg", end.joint, f"{end.t_s:.2f} s"))
+    near = margins.singularity
+    told = f"{near.value:.4f}", "least singular value, 0 is singular", f"{near.t_s:.2f} s"
+    rows.append(("nearest to a singularity", *told))
+    for name in ("flange", "elbow", "scanner"):
+        fast = getattr(margins.fastest, name)
+        rows.append((f"fastest {name}", f"{fast.value:.3f} m/s", "", f"{fast.t_s:.2f} s"))
+    return rows
 
 
 def glossary() -> str:
