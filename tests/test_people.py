@@ -48,6 +48,17 @@ def test_what_is_not_worth_its_seconds_is_apart_from_what_is_unreachable(plan):
     assert sorted(made.left_out) == sorted(made.unreachable + made.not_worth)
 
 
+def test_a_plan_says_itself_in_one_line_and_as_a_table(plan):
+    made = replace(plan, part=replace(plan.part, name="a<b>"))
+    assert repr(made) == (
+        "Plan(part: a<b>; viewpoints served: 2; time: 13.5 s; scanned, of what can be seen: 100.00%; "
+        "unreachable: 1; checks: 0 findings)"
+    )
+    shown = made._repr_html_()
+    assert "<td>a&lt;b&gt;</td>" in shown and shown.count("<tr>") == repr(made).count(":")
+    assert "not judged yet" in repr(replace(plan, summary=None))
+
+
 def test_the_sheet_shows_what_was_noted_and_leaves_the_rest_open():
     page = sheet({"operator": "A <Meier>", "light": "dim"})
     assert "<th>operator</th><td>A &lt;Meier&gt;</td>" in page and "<th>light</th><td>dim</td>" in page

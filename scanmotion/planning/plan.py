@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,25 @@ class Plan:
     """What the user notes, as object number, operator, date; it stands in the summary and report."""
     summary: Summary | None = None
     """What the plan achieves and what the judge found; None until it is saved."""
+
+    def _told(self) -> list[tuple[str, str]]:
+        """What a short form says: name and value."""
+        seconds, done = self.time_s()["total"], self.completeness()["final"]
+        served = len({v.id for item in self.segments for v in item.served})
+        told = [("part", self.part.name), ("viewpoints served", str(served)), ("time", f"{seconds:.1f} s")]
+        told += [] if done is None else [("scanned, of what can be seen", f"{done:.2%}")]
+        told += [("unreachable", str(len(self.unreachable)))] if self.unreachable else []
+        told += [("not worth their seconds", str(len(self.not_worth)))] if self.not_worth else []
+        checks = "not judged yet" if self.summary is None else f"{len(self.summary.findings)} findings"
+        return [*told, ("checks", checks)]
+
+    def __repr__(self) -> str:
+        return "Plan(" + "; ".join(f"{name}: {value}" for name, value in self._told()) + ")"
+
+    def _repr_html_(self) -> str:
+        """The short form as a table, for notebooks."""
+        rows = "".join(f"<tr><th>{escape(a)}</th><td>{escape(b)}</td></tr>" for a, b in self._told())
+        return f"<table>{rows}</table>"
 
     @property
     def viewpoints(self) -> tuple[Viewpoint, ...]:
