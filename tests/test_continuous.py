@@ -20,7 +20,7 @@ from scanmotion.plan_io.read import read_json
 from scanmotion.plan_io.save import judged
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.planning.replan import replan
-from scanmotion.sensing.sight import cell_of, masks_of, octahedral, sight_from, unpacked
+from scanmotion.sensing.sight import grid_cell_of, masks_of, octahedral, sight_from, unpacked
 from scanmotion.sensing.visibility import revolution_poses, scene_from, sees
 
 FEW = ContinuousOptions(places=4000, hard=1200, evaluations=400, again=100, rounds=3, azimuths_deg=(0.0,))
@@ -35,7 +35,7 @@ def moving():
 
 def test_every_direction_falls_into_its_own_cell():
     d = octahedral(24)
-    assert [cell_of(*v, 24) for v in d] == list(range(24 * 24))
+    assert [grid_cell_of(*v, 24) for v in d] == list(range(24 * 24))
     assert np.allclose(np.linalg.norm(d, axis=1), 1.0)
 
 

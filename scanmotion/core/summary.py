@@ -47,7 +47,7 @@ class ViewpointSummary(Open):
         return [*self.unreachable, *self.not_worth]
 
 
-class Completeness(Open):
+class CompletenessSummary(Open):
     """Shares after the global step and at the end, of what can be seen; and of the whole surface; 0..1."""
 
     after_global: Real | None
@@ -287,7 +287,7 @@ class Summary(Open):
     """summary.json."""
 
     viewpoints: ViewpointSummary
-    completeness: Completeness
+    completeness: CompletenessSummary
     within_reach: WithinReach = WithinReach(share=None, scanned=None)
     rounds: list[RoundSummary]
     searched: list[RoundSummary] = []

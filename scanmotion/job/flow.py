@@ -17,14 +17,11 @@ from scanmotion.job.simulate import write_simulated
 from scanmotion.job.store import Job, JobRecord, PlanEntry, new_job, with_plan
 from scanmotion.plan_io.load import load_plan
 from scanmotion.planning.pipeline import PlanOptions, plan
+from scanmotion.planning.segment import silent
 from scanmotion.sensing.fusion.surface import surface as surface_of
 from scanmotion.sensing.scan_files import save_cloud
 
 _MOST_REASONS = 8
-
-
-def silent(stage: str, share: float) -> None:
-    """Tells nobody."""
 
 
 def start_job(

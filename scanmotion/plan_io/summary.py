@@ -11,7 +11,7 @@ from scanmotion.core.finding import Finding
 from scanmotion.core.summary import (
     AccuracySummary,
     BudgetSummary,
-    Completeness,
+    CompletenessSummary,
     DrakeSummary,
     FormSummary,
     HelixSummary,
@@ -55,7 +55,7 @@ def summary_from(plan: Plan, findings: Sequence[Finding], margins: MarginsSummar
             "not_worth": [LeftOut(id=name, reason=reason) for name, reason in plan.not_worth],
             "solvers": plan.solvers,
         },
-        "completeness": Completeness(**_rounded(plan.completeness())),
+        "completeness": CompletenessSummary(**_rounded(plan.completeness())),
         "within_reach": WithinReach(**_rounded(plan.within_reach())),
         "rounds": [_round(plan, item) for item in plan.segments],
         "searched": [_round(plan, item) for item in plan.searched],

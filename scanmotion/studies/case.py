@@ -43,7 +43,7 @@ FIGURES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class CaseRow:
     """What came of one case."""
 
     id: str
@@ -59,7 +59,7 @@ class Row:
     version: str
 
 
-def row_of(case: Case, part: Part, *, keep_in: Path | None = None) -> Row:
+def row_of(case: Case, part: Part, *, keep_in: Path | None = None) -> CaseRow:
     """Plans, or counts, one case.
 
     Args:
@@ -82,7 +82,7 @@ def row_of(case: Case, part: Part, *, keep_in: Path | None = None) -> Row:
         status, reason = "refused", " ".join(str(error).split())
     except Exception as error:
         status, reason = "fault", f"{type(error).__name__}: {error}"[:500]
-    return Row(
+    return CaseRow(
         id=case.id,
         status=status,
         reason=reason,

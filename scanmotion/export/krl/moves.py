@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scanmotion.core.errors import InputError
-from scanmotion.export.job import DRY_PERCENT, Job
+from scanmotion.export.job import DRY_PERCENT, ExportJob
 from scanmotion.export.knots import polyline_knots, spline_knots
 from scanmotion.export.pose import abc_from_rotation
 from scanmotion.export.source import Stretch
@@ -31,7 +31,7 @@ _MOST = 1e5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Block:
+class KrlBlock:
     """Lines of one operation and how true they are to the plan."""
 
     lines: tuple[str, ...]
@@ -71,7 +71,7 @@ def still(stretch: Stretch) -> bool:
     return bool(np.ptp(np.rad2deg(stretch.q), axis=0).max() < 1e-5)
 
 
-def classic_block(stretch: Stretch, job: Job) -> Block:
+def classic_block(stretch: Stretch, job: ExportJob) -> KrlBlock:
     """PTP along the planned joint path; LIN for a sweep; WAIT for a dwell."""
     if still(stretch):
         return _wait(stretch, job)
@@ -98,7 +98,7 @@ def classic_block(stretch: Stretch, job: Job) -> Block:
             lines.append(f"TRIGGER WHEN DISTANCE=1 DELAY=0 DO {job.name}_AT={i}")
         lines.append(f"PTP {axes(points[i])}{suffix}")
     lines.append(f"{job.name}_SPD (100)")
-    return Block(lines=tuple(lines), back=_back(stretch, points, job), away=away, cut=rounded)
+    return KrlBlock(lines=tuple(lines), back=_back(stretch, points, job), away=away, cut=rounded)
 
 
 def rounding(points: np.ndarray) -> int:
@@ -115,7 +115,7 @@ def cut_of(points: np.ndarray, share: int) -> float:
     return float(np.abs(points[0] - 2 * points[1] + points[2]).max()) / 8 * share / 100
 
 
-def ptp_percents(stretch: Stretch, knots: np.ndarray, job: Job) -> list[int]:
+def ptp_percents(stretch: Stretch, knots: np.ndarray, job: ExportJob) -> list[int]:
     """Speed of each PTP: neither a joint nor the scanner is faster than the plan between the same points."""
     p_BS = (job.arm.X_BF(stretch.q) @ job.X_FS)[:, :3, 3]
     planned = np.linalg.norm(np.gradient(p_BS, stretch.t, axis=0), axis=1)
@@ -134,7 +134,7 @@ def ptp_percents(stretch: Stretch, knots: np.ndarray, job: Job) -> list[int]:
     return found
 
 
-def timed_block(stretch: Stretch, job: Job) -> Block:
+def timed_block(stretch: Stretch, job: ExportJob) -> KrlBlock:
     """A spline whose points carry the planned instants as shares of the block's time."""
     if still(stretch):
         return _wait(stretch, job)
@@ -152,15 +152,15 @@ def timed_block(stretch: Stretch, job: Job) -> Block:
         lines += [f" SPTP {axes(q[i])}", f" TIME_BLOCK PART = {number(part)}"]
     seconds = stretch.duration * (100 / DRY_PERCENT if job.dry_run else 1)
     lines += [f" TIME_BLOCK END = {number(seconds, 4)}", "ENDSPLINE"]
-    return Block(lines=tuple(lines), back=_back(stretch, q[knots], job), away=away)
+    return KrlBlock(lines=tuple(lines), back=_back(stretch, q[knots], job), away=away)
 
 
-def _wait(stretch: Stretch, job: Job) -> Block:
+def _wait(stretch: Stretch, job: ExportJob) -> KrlBlock:
     """A standstill."""
-    return Block(lines=(f"WAIT SEC {number(stretch.duration, 4)}",))
+    return KrlBlock(lines=(f"WAIT SEC {number(stretch.duration, 4)}",))
 
 
-def _back(stretch: Stretch, points: np.ndarray, job: Job) -> tuple[str, ...]:
+def _back(stretch: Stretch, points: np.ndarray, job: ExportJob) -> tuple[str, ...]:
     """The way back to where an operation starts, along what was driven.
 
     A turn of the table and a straight line of the scanner have one way back; a helix goes back through the
@@ -180,7 +180,7 @@ def _back(stretch: Stretch, points: np.ndarray, job: Job) -> tuple[str, ...]:
     return (*lines, f"PTP {axes(points[0])}")
 
 
-def _sweep(stretch: Stretch, job: Job) -> Block:
+def _sweep(stretch: Stretch, job: ExportJob) -> KrlBlock:
     """LIN of the scanner's frame in the robot's base at the sweep's own speed."""
     X_BS = job.arm.X_BF(stretch.q) @ job.X_FS
     p, e1 = X_BS[:, :3, 3], np.rad2deg(stretch.q[:, 6])
@@ -202,5 +202,5 @@ def _sweep(stretch: Stretch, job: Job) -> Block:
         suffix = "" if i == knots[-1] else " C_DIS"
         lines.append(f"LIN {frame(X_BS[i], float(e1[i]))}{suffix}")
     lines.append(f"{job.name}_CP (FALSE)")
-    block = Block(lines=tuple(lines))
+    block = KrlBlock(lines=tuple(lines))
     return replace(block, back=_back(stretch, np.rad2deg(stretch.q[[0, -1]]), job))
