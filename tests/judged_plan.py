@@ -137,7 +137,9 @@ class Written:
             o["t_start"], o["t_end"] = self.t[first], self.t[rows[-1]]
             o["q_start"] = np.deg2rad(self.deg[first]).tolist()
             o["q_end"] = np.deg2rad(self.deg[rows[-1]]).tolist()
-        self.files.pop("trajectory.json", None)
+        # What is written beside the table tells of the old one.
+        for name in ("trajectory.json", "frames.csv", "frames.json"):
+            self.files.pop(name, None)
 
     def drop(self, rows):
         self.table, self.operation = np.delete(self.table, rows, axis=0), np.delete(self.operation, rows)

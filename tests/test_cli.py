@@ -222,7 +222,7 @@ def test_final_table_says_everything():
     assert text["completeness, of what can be seen"] == "99.95%"
     assert "152" in text["time"] and "70.0 s" in text["time"]
     assert text["of which [s]"] == "arm 40.0, table 16.0, sweep 10.0, dwell 4.0"
-    assert "1 left out" in text["viewpoints"]
+    assert "1 unreachable" in text["viewpoints"]
     assert "not known" in text["accuracy"]
 
 
@@ -272,7 +272,7 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(met, tmp_path):
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         f"def planned(*a, **k):\n    print('ready', flush=True)\n    {MET[met]}\n"
         "p.part_and_source = lambda *a, **k: (None, 'mesh')\n"
-        "p.planned = planned\n"
+        "p.New.planned = lambda self, progress: planned(None, None, progress)\n"
         "from scanmotion.__main__ import main\n"
         "main()"
     )

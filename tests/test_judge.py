@@ -583,7 +583,8 @@ def test_a_summary_with_another_time_is_found(written, tmp_path, summary):
     written.files["summary.json"] = json.dumps({"time_s": {"total": round(float(written.t[-1]), 3)}})
     assert spoiled(written, tmp_path) == []
     written.files["summary.json"] = json.dumps(summary)
-    assert [f.code for f in spoiled(written, tmp_path)] == ["summary"]
+    # One for the scan's seconds; one more for the cycle's, where nothing at all is told.
+    assert set(codes(spoiled(written, tmp_path))) == {"summary"}
 
 
 def test_settings_of_another_shape_are_found(written, tmp_path):
@@ -689,7 +690,7 @@ def test_the_judge_imports_nothing_of_what_it_judges():
             if not name.startswith("scanmotion"):
                 outside.add(name.split(".")[0])
     rooms = {p.relative_to(ROOT).parts[0] for p in seen}
-    assert rooms <= {"__init__.py", "judge", "errors.py", "planfile.py", "partfile.py", "trajectory.py"}
+    assert rooms <= {"__init__.py", "judge", "core", "geometry", "plan_io"}
     assert "fcl" in outside
     assert not outside & {"pydrake", "py_opw_kinematics", "ompl", "open3d", "numba", "toppra"}
 

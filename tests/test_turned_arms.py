@@ -45,7 +45,7 @@ ARMS = {
 @pytest.mark.parametrize("name", ARMS)
 def test_every_branch_of_the_plain_arm_is_found(name, tmp_path, kr240_cell, rng):
     """The plain arm's solver is the oracle: as many branches for as many poses of the hand."""
-    robot = cell_of(ARMS[name], tmp_path).robot
+    robot = cell_of(ARMS[name], tmp_path, home_deg=[0, -90, 90, 0, 0, 0]).robot
     solve = turned_arm(robot)
     assert solve is not None and not solve.rough
     q = rng.uniform(np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi), (200, 6))

@@ -82,7 +82,7 @@ def client_of(scheduler: str | None, workers: int | None, memory_gib: float) -> 
         return
     count = worker_count(workers, memory_gib)
     cores = max(1, (os.cpu_count() or 1) // count)
-    threads = {name: str(cores) for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+    threads = {name: str(cores) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
     limit = int(max(memory_gib, 0.5) * 2**30)
     base.config.set({"distributed.nanny.pre-spawn-environ": threads})
     with (
@@ -155,6 +155,7 @@ def run_on_worker(case: Case, keep_in: str | None) -> CaseRow:
     """What a worker runs: the case, on the part that it holds."""
     from distributed import get_worker
 
+    _threads_of_worker()
     path = Path(get_worker().local_directory) / "scanmotion-parts" / f"{case.part_hash}.npz"
     with np.load(path, allow_pickle=False) as file:
         part = Part(
@@ -164,3 +165,12 @@ def run_on_worker(case: Case, keep_in: str | None) -> CaseRow:
             closed=bool(file["closed"]),
         )
     return row_of(case, part, keep_in=None if keep_in is None else Path(keep_in))
+
+
+def _threads_of_worker() -> None:
+    """Compiled loops follow the worker's share of the cores too."""
+    import numba
+
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    if asked.isdigit() and int(asked) > 0:
+        numba.set_num_threads(min(int(asked), numba.config.NUMBA_NUM_THREADS))  # pyright: ignore

@@ -1,15 +1,19 @@
 """What transit and timing share: the curve that a transit is driven on, its derivatives and the limits."""
 
 import functools
+import logging
 
 import numpy as np
 from numba import njit
 
 from scanmotion.cell.build import Cell
+from scanmotion.core.errors import TimingError
 from scanmotion.motion.timing.jerk_limited import TimeLaw, fastest_law, law_with
 from scanmotion.motion.timing.speed_profile import Derivatives, Limits, parameter_grid, profile_floor
 from scanmotion.motion.timing.spline import JointSpline, spline_beside, subdivided
 from scanmotion.motion.transit_cost import MoveModel, move_model, scanner_positions
+
+log = logging.getLogger(__name__)
 
 
 def limits_of(cell: Cell, tcp: float) -> Limits:
@@ -107,7 +111,12 @@ def _emitted_law(cell: Cell, k: int, data: bytes) -> tuple[JointSpline, TimeLaw]
     from scanmotion.motion.timing.toppra_profile import toppra_profile
 
     path, law = transit_law(cell, np.frombuffer(data).reshape(k, 7))
-    return path, law_with(toppra_profile, path, derivatives_on(cell, path), transit_limits(cell), law)
+    try:
+        return path, law_with(toppra_profile, path, derivatives_on(cell, path), transit_limits(cell), law)
+    except TimingError as error:
+        # The library's solver gives up on a few paths by rounding; the compiled one solves the same problem.
+        log.info("%s; the compiled profile is taken", error)
+        return path, law
 
 
 @functools.lru_cache(maxsize=512)
