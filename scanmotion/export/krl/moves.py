@@ -24,6 +24,10 @@ SPLINE_DEG = 0.002
 """How far a cubic spline through the timed points may be from the planned joints [deg]."""
 SPLINE_LONGEST_S, SPLINE_SHORTEST_S = 0.25, 0.03
 """Greatest and least time between two points of a timed spline [s]."""
+PATH_POINTS, PATH_DEG = 6000, 0.01
+"""Points of a continuous motion, one spline however long, and how far it may leave the plan [deg]."""
+BACK_POINTS, BACK_DEG = 400, 0.02
+"""Points of the way back along a continuous motion, and how far that may be from what was driven [deg]."""
 BACK_PERCENT, BACK_M_S = 10, 0.05
 """Speed of the way back after a fault of the scanner: of the joints, and of the scanner on a line [m/s]."""
 _NAMES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
@@ -139,20 +143,42 @@ def timed_block(stretch: Stretch, job: Job) -> Block:
     if still(stretch):
         return _wait(stretch, job)
     t, q = stretch.t, np.rad2deg(stretch.q)
+    whole = stretch.operation.kind == "path"
+    tolerance, most = (PATH_DEG, PATH_POINTS) if whole else (SPLINE_DEG, MOST_POINTS)
     knots, away = spline_knots(
-        t, q, SPLINE_DEG, longest=SPLINE_LONGEST_S, shortest=SPLINE_SHORTEST_S, most=MOST_POINTS
+        t, q, tolerance, longest=SPLINE_LONGEST_S, shortest=SPLINE_SHORTEST_S, most=most
     )
     share = np.round(100 * (t[knots] - t[0]) / stretch.duration, 5)
-    marks = stretch.operation.kind == "helix"
+    passed = _passed(stretch, q[knots])
+    marks = {int(k): n for n, k in enumerate(passed) if n}
     # The first point is where the arm stands already; public programmes put it before TIME_BLOCK START.
     lines = ["PTP_SPLINE", f" SPTP {axes(q[0])}", " TIME_BLOCK START"]
     for n, (i, part) in enumerate(zip(knots[1:], np.diff(share), strict=True), 1):
-        if marks:
-            lines.append(f" TRIGGER WHEN PATH=0 DELAY=0 DO {job.name}_AT={n}")
+        if n in marks:
+            lines.append(f" TRIGGER WHEN PATH=0 DELAY=0 DO {job.name}_AT={marks[n]}")
         lines += [f" SPTP {axes(q[i])}", f" TIME_BLOCK PART = {number(part)}"]
     seconds = stretch.duration * (100 / DRY_PERCENT if job.dry_run else 1)
     lines += [f" TIME_BLOCK END = {number(seconds, 4)}", "ENDSPLINE"]
-    return Block(lines=tuple(lines), back=_back(stretch, q[knots], job), away=away)
+    back = _back_along(stretch, knots[passed], job) if whole else _back(stretch, q[knots], job)
+    return Block(lines=tuple(lines), back=back, away=away)
+
+
+def _passed(stretch: Stretch, points: np.ndarray) -> np.ndarray:
+    """Which points (n, 7) [deg] of a spline the programme counts, because a way back leads through them."""
+    if stretch.operation.kind == "helix":
+        return np.arange(len(points))
+    if stretch.operation.kind == "path":
+        return polyline_knots(points, BACK_DEG, most=BACK_POINTS)[0]
+    return np.zeros(0, dtype=int)
+
+
+def _back_along(stretch: Stretch, knots: np.ndarray, job: Job) -> tuple[str, ...]:
+    """The way back along a continuous motion, through the counted points, no faster than it was driven."""
+    q, percents, lines = np.rad2deg(stretch.q[knots]), ptp_percents(stretch, knots, job), []
+    for n in range(len(knots) - 2, -1, -1):
+        move = (f"{job.name}_SPD ({percents[n]})", f"PTP {axes(q[n])}")
+        lines += [f"IF {job.name}_AT>={n} THEN", *move, "ENDIF"] if n else move
+    return (*lines, f"{job.name}_SPD (100)")
 
 
 def _wait(stretch: Stretch, job: Job) -> Block:
