@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from scanmotion.core.errors import InputError
 from scanmotion.export.job import DRY_PERCENT, Job
-from scanmotion.export.knots import polyline_knots, spline_knots
+from scanmotion.export.knots import polyline_knots, spline_knots, way_back_knots
 from scanmotion.export.pose import abc_from_rotation
 from scanmotion.export.source import Stretch
 
@@ -24,10 +24,10 @@ SPLINE_DEG = 0.002
 """How far a cubic spline through the timed points may be from the planned joints [deg]."""
 SPLINE_LONGEST_S, SPLINE_SHORTEST_S = 0.25, 0.03
 """Greatest and least time between two points of a timed spline [s]."""
-PATH_POINTS, PATH_DEG = 6000, 0.01
+PATH_POINTS, PATH_DEG = 6000, 0.004
 """Points of a continuous motion, one spline however long, and how far it may leave the plan [deg]."""
-BACK_POINTS, BACK_DEG = 400, 0.02
-"""Points of the way back along a continuous motion, and how far that may be from what was driven [deg]."""
+BACK_DEG = 0.02
+"""How far the way back along a continuous motion may be from what was driven [deg]."""
 BACK_PERCENT, BACK_M_S = 10, 0.05
 """Speed of the way back after a fault of the scanner: of the joints, and of the scanner on a line [m/s]."""
 _NAMES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
@@ -148,28 +148,21 @@ def timed_block(stretch: Stretch, job: Job) -> Block:
     knots, away = spline_knots(
         t, q, tolerance, longest=SPLINE_LONGEST_S, shortest=SPLINE_SHORTEST_S, most=most
     )
+    passed = knots if stretch.operation.kind == "helix" else knots[:1]
+    if whole:
+        knots, passed = way_back_knots(t, q, knots, BACK_DEG, shortest=SPLINE_SHORTEST_S)
     share = np.round(100 * (t[knots] - t[0]) / stretch.duration, 5)
-    passed = _passed(stretch, q[knots])
     marks = {int(k): n for n, k in enumerate(passed) if n}
     # The first point is where the arm stands already; public programmes put it before TIME_BLOCK START.
     lines = ["PTP_SPLINE", f" SPTP {axes(q[0])}", " TIME_BLOCK START"]
-    for n, (i, part) in enumerate(zip(knots[1:], np.diff(share), strict=True), 1):
-        if n in marks:
-            lines.append(f" TRIGGER WHEN PATH=0 DELAY=0 DO {job.name}_AT={marks[n]}")
+    for i, part in zip(knots[1:], np.diff(share), strict=True):
+        if int(i) in marks:
+            lines.append(f" TRIGGER WHEN PATH=0 DELAY=0 DO {job.name}_AT={marks[int(i)]}")
         lines += [f" SPTP {axes(q[i])}", f" TIME_BLOCK PART = {number(part)}"]
     seconds = stretch.duration * (100 / DRY_PERCENT if job.dry_run else 1)
     lines += [f" TIME_BLOCK END = {number(seconds, 4)}", "ENDSPLINE"]
-    back = _back_along(stretch, knots[passed], job) if whole else _back(stretch, q[knots], job)
+    back = _back_along(stretch, passed, job) if whole else _back(stretch, q[knots], job)
     return Block(lines=tuple(lines), back=back, away=away)
-
-
-def _passed(stretch: Stretch, points: np.ndarray) -> np.ndarray:
-    """Which points (n, 7) [deg] of a spline the programme counts, because a way back leads through them."""
-    if stretch.operation.kind == "helix":
-        return np.arange(len(points))
-    if stretch.operation.kind == "path":
-        return polyline_knots(points, BACK_DEG, most=BACK_POINTS)[0]
-    return np.zeros(0, dtype=int)
 
 
 def _back_along(stretch: Stretch, knots: np.ndarray, job: Job) -> tuple[str, ...]:
