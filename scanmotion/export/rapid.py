@@ -52,8 +52,8 @@ def rapid_files(job: Job) -> Files:
         )
     if any(o.kind == "path" for o in job.source.record.operations):
         raise InputError(
-            "a continuous motion is not written as RAPID, whose way back after a fault of the scanner follows "
-            "one joint that only grows or only falls; csv, json and ros carry it, or plan with --motion stops"
+            "a continuous motion is not written as RAPID, whose way back after a fault of the scanner "
+            "follows one joint that only grows or only falls; csv, json and ros carry it; or --motion stops"
         )
     lines = [
         f"MODULE M_{job.name}",
