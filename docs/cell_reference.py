@@ -49,7 +49,7 @@ dwell (`process`). What the cell states of `tool` and `process` goes first. A ke
 otherwise than the preset is refused. A turn sees the part from the least distance plus the part's radius: a
 short range leaves more to local viewpoints, which take longer; a long one needs room, the table's axis at
 least the standoff and 1.5 m from the robot. Each file in `models/scanners` says which value is from the
-maker's sheet and which is not. A scanner of your own is the section `scanner` with your values, and
+maker and which is not. A scanner of your own is the section `scanner` with your values, and
 `tool.scanner_size_m` and `process.standoff_m` with them.
 """
 

@@ -289,10 +289,10 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(met, tmp_path):
 
 def test_many_viewpoints_that_are_too_dear_share_a_line():
     from scanmotion.cli.planning import left_out_rows
+    from scanmotion.core.summary import LeftOut
 
-    dear = [{"id": f"L{k}", "reason": f"not worth its seconds: it adds 0.00{k}% in 1.0 s"} for k in range(5)]
-    far = {"id": "G1", "reason": "out of reach by 0.2 m"}
-    few = [far, *dear[:3]]
-    assert left_out_rows(few) == [(u["id"], u["reason"]) for u in few]
-    rows = left_out_rows([dear[0], far, *dear[1:]])
-    assert rows == [("G1", far["reason"]), ("5 others", "not worth their seconds; summary.json lists them")]
+    dear = [LeftOut(id=f"L{k}", reason=f"not worth its seconds: it adds 0.00{k}% in 1.0 s") for k in range(5)]
+    far = LeftOut(id="G1", reason="out of reach by 0.2 m")
+    assert left_out_rows([far], dear[:3]) == [(u.id, u.reason) for u in [far, *dear[:3]]]
+    rows = left_out_rows([far], dear)
+    assert rows == [("G1", far.reason), ("5 others", "not worth their seconds; summary.json lists them")]

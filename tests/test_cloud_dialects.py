@@ -185,11 +185,11 @@ def test_a_floor_is_cut_off_and_a_relief_keeps_its_ground(tmp_path):
 
 
 def test_a_large_cloud_is_thinned_with_a_word():
-    from scanmotion.geometry.mending.mend_cloud import MendedCloud, thinned
+    from scanmotion.geometry.mending.mend_cloud import MendedCloud, thinned_cloud
 
     rng = np.random.default_rng(6)
     p = rng.random((200_000, 3)) * [1, 1, 0.001]
-    made = thinned(MendedCloud(points=p, normals=None), most=20_000)
+    made = thinned_cloud(MendedCloud(points=p, normals=None), most=20_000)
     assert 12_000 < len(made.points) <= 20_000 and "thinned" in made.changes[-1]
     assert np.ptp(made.points, axis=0).min() > 0.0009
 

@@ -28,7 +28,7 @@ from scanmotion.planning.continuous import better_motion
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.planning.replan import replan
 from scanmotion.planning.state import PlanState
-from scanmotion.sensing.sight import cell_of, masks_of, octahedral, sight_from, unpacked
+from scanmotion.sensing.sight import grid_cell_of, masks_of, octahedral, sight_from, unpacked
 from scanmotion.sensing.visibility import revolution_poses, scene_from, sees
 
 FEW = ContinuousOptions(places=4000, hard=1200, evaluations=400, again=100, rounds=3, azimuths_deg=(0.0,))
@@ -43,7 +43,7 @@ def moving():
 
 def test_every_direction_falls_into_its_own_cell():
     d = octahedral(24)
-    assert [cell_of(*v, 24) for v in d] == list(range(24 * 24))
+    assert [grid_cell_of(*v, 24) for v in d] == list(range(24 * 24))
     assert np.allclose(np.linalg.norm(d, axis=1), 1.0)
 
 
@@ -232,7 +232,7 @@ def test_auto_keeps_the_one_that_sees_no_less_in_fewer_seconds(moving, still, op
     )
     assert found.duration == (moving if kept == "continuous" else still)[0]
     assert found.motion is not None and found.motion["kind"] == kept
-    assert found.motion["note"].startswith(kept) and "rather than" in found.motion["note"]
+    assert str(found.motion["note"]).startswith(f"{kept} (") and "rather than" in str(found.motion["note"])
 
 
 @pytest.mark.parametrize("motion", ["continuous", "auto"])
@@ -244,7 +244,7 @@ def test_where_no_motion_can_be_driven_stops_are_planned_and_the_plan_says_so(mo
     assert made.trajectory is not None
     assert "path" not in {o.kind for o in made.trajectory.operations}
     made.save(tmp_path / "plan")
-    told = read_json(tmp_path / "plan", "summary.json")["motion"]
+    told = cast(dict, read_json(tmp_path / "plan", "summary.json"))["motion"]
     assert told["kind"] == "stops" and "no continuous motion can be driven" in told["note"]
 
 

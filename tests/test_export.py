@@ -28,7 +28,7 @@ from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
 from scanmotion.export import FORMATS, export_plan
 from scanmotion.export.knots import polyline_knots, spline_knots
 from scanmotion.export.krl.moves import number
-from scanmotion.export.pose import abc_from_rotation, arm_from_urdf
+from scanmotion.export.pose import abc_from_rotation, arm_for_poses
 from scanmotion.export.source import source_from, write_files
 from scanmotion.export.viewpoints import quaternion, read_viewpoints, rotation, write_viewpoints
 from scanmotion.geometry.parts import box_part
@@ -385,7 +385,7 @@ def test_a_spreadsheets_byte_order_mark_and_line_ends_are_read(tmp_path):
 
 
 def test_arm_agrees_with_the_cells_kinematics_and_published_poses(cell, plan, rng):
-    arm = arm_from_urdf((plan.folder / "robot.urdf").read_text(), plan.record.robot_joints, "tool0")
+    arm = arm_for_poses((plan.folder / "robot.urdf").read_text(), plan.record.robot_joints, "tool0")
     q = rng.uniform(-2, 2, (50, 7))
     poses = np.asarray(cell.X_WB) @ arm.X_BF(q) @ np.asarray(cell.X_FS)
     np.testing.assert_allclose(poses, scanner_poses(cell, q), atol=1e-9)
@@ -414,13 +414,13 @@ def test_abc_turns_back_into_the_rotation(a, b, c):
 )  # fmt: skip
 def test_urdfs_without_the_chain_are_refused(text):
     with pytest.raises(PlanFileError):
-        arm_from_urdf(text, ("A1",), "tool0")
+        arm_for_poses(text, ("A1",), "tool0")
 
 
 def test_a_urdf_that_bites_its_tail_is_refused():
     link = "<joint name='{0}' type='fixed'><parent link='{1}'/><child link='{2}'/></joint>"
     with pytest.raises(PlanFileError):
-        arm_from_urdf(f"<robot>{link.format('a', 'x', 'y')}{link.format('b', 'y', 'x')}</robot>", (), "x")
+        arm_for_poses(f"<robot>{link.format('a', 'x', 'y')}{link.format('b', 'y', 'x')}</robot>", (), "x")
 
 
 def test_a_straight_path_needs_two_knots_and_a_corner_three():

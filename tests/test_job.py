@@ -21,7 +21,7 @@ from scanmotion.job import store
 from scanmotion.job.adding import AddOptions, add_frames
 from scanmotion.job.frame_files import Intrinsics, depth_npz, frame_points, intrinsics_of
 from scanmotion.job.model import errors_of, model_of
-from scanmotion.job.poses import Line, posed, programme_captures, read_list, read_log
+from scanmotion.job.poses import Line, posed, programme_captures, read_list, read_pose_log
 from scanmotion.job.store import load_job
 from scanmotion.plan_io.load import load_plan
 from scanmotion.sensing.assess import accuracy, covered_samples
@@ -124,7 +124,7 @@ def test_index_time_and_log_give_one_pose(first):
     by_index = [Line(file=f"{i}", index=int(i)) for i in k]
     by_time = [Line(file=f"{i}", t=float(every.t[i]) - 5.0) for i in k]
     by_pose = [Line(file=f"{i}", pose=every.X_OS[i]) for i in k]
-    log = read_log(first / "scanner" / "plan-1" / "log.csv", cell.joint_names)
+    log = read_pose_log(first / "scanner" / "plan-1" / "log.csv", cell.joint_names)
     found = [
         posed(by_index, cell, plan.trajectory, None)[0],
         posed(by_time, cell, plan.trajectory, None, offset_s=5.0)[0],

@@ -12,7 +12,7 @@ from scanmotion.geometry.parts import box_part
 from scanmotion.judge.left_out import not_judged
 from scanmotion.judge.motion import arm_of
 from scanmotion.judge.solids import meeting_carriers, pairs_of, solids_of
-from scanmotion.plan_io.schema import read_plan
+from scanmotion.plan_io.read import read_plan
 from scanmotion.planning.pipeline import PlanOptions, plan
 
 

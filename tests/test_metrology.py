@@ -22,7 +22,7 @@ from scanmotion.report.assessment import cut_lines
 from scanmotion.sensing.metrology.acceptance import Table, acceptance
 from scanmotion.sensing.metrology.alignment import aligned
 from scanmotion.sensing.metrology.artefacts import ball_bar_from, ball_from, plane_from
-from scanmotion.sensing.metrology.deviations import Limits, deviations, deviations_at_points
+from scanmotion.sensing.metrology.deviations import DeviationLimits, deviations, deviations_at_points
 from scanmotion.sensing.simulator.captures import ScanErrors, motion
 
 
@@ -38,7 +38,7 @@ def measured(lump):
 
 def test_all_figures_agree_with_trimesh(lump, measured):
     points, normals = measured
-    found = deviations(points, normals, lump, limits=Limits(samples=20_000))
+    found = deviations(points, normals, lump, limits=DeviationLimits(samples=20_000))
     mesh = trimesh.Trimesh(lump.vertices, lump.triangles, process=False)
     _, near = cKDTree(mesh.triangles_center).query(points, k=40)
     each = np.repeat(points, 40, axis=0)
@@ -62,7 +62,7 @@ def test_all_figures_agree_with_trimesh(lump, measured):
 
 
 def test_regions_part_the_points_and_the_surface(lump, measured):
-    found = deviations(*measured, lump, limits=Limits(samples=20_000))
+    found = deviations(*measured, lump, limits=DeviationLimits(samples=20_000))
     bands, facings = found.regions[:4], found.regions[4:]
     for group in (bands, facings):
         spreads = [r.spread for r in group if r.spread is not None]
@@ -71,7 +71,7 @@ def test_regions_part_the_points_and_the_surface(lump, measured):
         assert mean == pytest.approx(found.spread.mean_signed, abs=1e-12)
     assert bands[0].completeness < 0.6 < bands[1].completeness
     box = {"head": np.array([[-1, -1, 0.1], [1, 1, 1]])}
-    (head,) = deviations(*measured, lump, limits=Limits(samples=20_000), boxes=box).regions
+    (head,) = deviations(*measured, lump, limits=DeviationLimits(samples=20_000), boxes=box).regions
     assert head.name == "head" and head.completeness > 0.999
     assert head.spread.points == pytest.approx((measured[0][:, 2] > 0.1).sum(), abs=30)
 

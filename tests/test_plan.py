@@ -89,7 +89,7 @@ def test_the_local_step_scans_more(planned):
 
 def test_every_viewpoint_is_served_or_has_a_reason(planned):
     served = {v for o in planned.trajectory.operations if o.scanning for v in o.viewpoints}
-    given_up = dict(planned.unreachable)
+    given_up = dict(planned.left_out)
     assert all(reason for reason in given_up.values())
     assert {v.id for v in planned.viewpoints} == served | (set(given_up) & {v.id for v in planned.viewpoints})
     assert not served & set(given_up)
@@ -125,7 +125,7 @@ def test_the_summary_has_the_contracts_keys(saved, planned):
     assert set(summary) >= {
         "viewpoints", "completeness", "accuracy", "time_s", "budget", "findings", "planning_s",
     }  # fmt: skip
-    assert set(summary["viewpoints"]) == {"global", "local", "unreachable", "solvers"}
+    assert set(summary["viewpoints"]) == {"global", "local", "unreachable", "not_worth", "solvers"}
     assert set(summary["viewpoints"]["solvers"]) == {v.id for s in planned.segments for v in s.served}
     assert set(summary["viewpoints"]["solvers"].values()) <= {ANALYTIC, RESCUE, REFINED}
     assert summary["drake"]["findings"] == 0 < summary["drake"]["checked"]

@@ -16,7 +16,7 @@ from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
 from scanmotion.geometry.parts import box_part
 from scanmotion.motion.reach.diagnosis import Change, cause_of
 from scanmotion.motion.reach.find import ReachOptions, reach, reachable_mask
-from scanmotion.motion.reach.ik_candidates import candidates, presented, table_angles
+from scanmotion.motion.reach.ik_candidates import ik_candidates, presented, table_angles
 
 TOLERANCE_M = 2e-4
 ALL = ReachOptions(most=10**6)
@@ -127,7 +127,7 @@ def test_few_are_the_best_of_all_when_asked_for_at_once(cell, checker):
     for view, item in zip(views, together, strict=True):
         alone = reach(cell, [view], clearance=checker, options=ReachOptions(most=24))[0]
         assert np.array_equal(alone.q, item.q)
-    ordered = candidates(cell, [views[0]], [table_angles(cell, views[0].X_OS, 0.2, 1.0)], 4)
+    ordered = ik_candidates(cell, [views[0]], [table_angles(cell, views[0].X_OS, 0.2, 1.0)], 4)
     seconds = (np.abs(ordered.q[:, :6] - cell.home[:6]) / cell.v_max[:6]).max(axis=1)
     at_azimuth = np.isclose(ordered.q[:, 6], ordered.q[0, 6]) & (ordered.sigma >= 0.02)
     assert (np.diff(seconds[at_azimuth]) >= -1e-12).all()

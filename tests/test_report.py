@@ -10,6 +10,7 @@ from browser import screenshot
 from fake_plan import fake_hole, fake_plan
 
 import scanmotion.report.page as mut
+import scanmotion.report.surface as surface_page
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
 from scanmotion.core.summary import Summary
@@ -43,9 +44,11 @@ def page(plan):
 @pytest.fixture
 def text_of(monkeypatch):
     """Reads the report of a plan, whose pictures need not be drawn for that."""
-    monkeypatch.setattr(mut, "image", lambda figure, what: f'<img alt="{what}" src="data:image/png;base64,">')
-    for name in ("coverage", "hole", "reach", "cell", "joint", "tcp", "time", "curve"):
-        monkeypatch.setattr(mut, f"{name}_figure", lambda *a, **k: None)
+    of_surface = ("coverage", "hole", "reach")
+    for module, names in ((mut, ("cell", "joint", "tcp", "time", "curve")), (surface_page, of_surface)):
+        monkeypatch.setattr(module, "image", lambda figure, what: f'<img alt="{what}" src="data:,">')
+        for name in names:
+            monkeypatch.setattr(module, f"{name}_figure", lambda *a, **k: None)
     return lambda plan: " ".join(Reader(report_html(plan)).texts)
 
 
@@ -223,7 +226,7 @@ def test_hole_kinds_have_colours_of_their_own():
 def test_report_in_a_browser(page, tmp_path):
     file = tmp_path / "report.html"
     file.write_text(page, encoding="utf-8")
-    image, asked = screenshot(file, size=(1200, 1400), wait_ms=2000)
+    image, asked = screenshot(file, size=(1200, 3600), wait_ms=2000)
     assert asked == set()
     pixels = image.reshape(-1, 3).astype(int)
     assert len(np.unique(pixels // 16, axis=0)) > 100, "the page is blank"

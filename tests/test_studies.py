@@ -18,9 +18,9 @@ from scanmotion.cell.settings import load_cell
 from scanmotion.core.errors import InputError
 from scanmotion.geometry.parts import box_part
 from scanmotion.studies import cluster, table
-from scanmotion.studies.case import FIGURES, Row, poses_round, row_of
+from scanmotion.studies.case import FIGURES, CaseRow, poses_round, row_of
 from scanmotion.studies.layout import BOUNDS, layout_keys, present_values
-from scanmotion.studies.report import ranking, report_html
+from scanmotion.studies.report import ranking, study_html
 from scanmotion.studies.run import StudyError, StudyOptions, study
 from scanmotion.studies.settings import study_from
 
@@ -33,9 +33,9 @@ CHEAP = {
 }
 
 
-def row(id_: str, **figures) -> Row:
+def row(id_: str, **figures) -> CaseRow:
     known = dict.fromkeys(FIGURES) | figures
-    return Row(id=id_, status="ok", reason="", figures=known, plan_sha256="", planning_s=0.0, version="0")
+    return CaseRow(id=id_, status="ok", reason="", figures=known, plan_sha256="", planning_s=0.0, version="0")
 
 
 def test_a_grid_has_every_combination_once(tmp_path):
@@ -236,9 +236,9 @@ def test_the_page_names_the_best_and_the_failed(tmp_path):
             found = row(case.id, completeness=0.99 + 0.001 * i, seconds=60.0 + i)
             rows.append((case, found))
         table.add(connection, rows[1:])
-        bad = Row(**(vars(rows[0][1]) | {"status": "none", "reason": "nothing <reached>"}))
+        bad = CaseRow(**(vars(rows[0][1]) | {"status": "none", "reason": "nothing <reached>"}))
         table.add(connection, [(rows[0][0], bad)])
-    page = report_html(tmp_path / "t.sqlite")
+    page = study_html(tmp_path / "t.sqlite")
     assert "nothing &lt;reached&gt;" in page and "data:image/png" in page and "http" not in page
     best = max(made.cases[2:], key=lambda c: c.id == made.cases[-1].id)
     assert best.layout in page.split("First of the ranking:")[1].split("</p>")[0]
@@ -248,7 +248,7 @@ def test_an_empty_table_has_no_page(tmp_path):
     with table.opened(tmp_path / "t.sqlite", make=True):
         pass
     with pytest.raises(InputError, match="no row yet"):
-        report_html(tmp_path / "t.sqlite")
+        study_html(tmp_path / "t.sqlite")
 
 
 def test_a_layout_moves_the_table_along_its_line():

@@ -19,8 +19,8 @@ from scanmotion.motion.timing.speed_profile import (
     Derivatives,
     Limits,
     fastest_profile,
-    floor_seconds,
     parameter_grid,
+    profile_floor,
     speed_caps,
 )
 from scanmotion.motion.timing.spline import corner_cut, spline_beside, spline_through, subdivided
@@ -136,7 +136,7 @@ def toppra_seconds(path, d, limits):
 @pytest.mark.parametrize("seed", range(4))
 def test_floor_agrees_with_toppra(seed):
     path, d = joint_path(np.random.default_rng(seed), 2 + seed)
-    ours = floor_seconds(d, LIMITS)
+    ours = profile_floor(d, LIMITS)
     theirs = toppra_seconds(path, d, LIMITS)
     # Ours takes the velocity bound over neighbouring grid points too, and leaves a margin of 0.05%.
     assert theirs <= ours * (1 + 1e-6)

@@ -14,7 +14,7 @@ ANSWER = "nothing is missing: the scan has no hole that a viewpoint could fill"
 
 def is_complete(made: "Plan") -> bool:
     """Whether a plan is empty because nothing is left to do, and not because something stood in the way."""
-    return made.options.source == "scan" and made.trajectory is None and not made.unreachable
+    return made.options.source == "scan" and made.trajectory is None and not made.left_out
 
 
 def write_answer(made: "Plan", out: Path, *, html: bool) -> dict[str, Any]:

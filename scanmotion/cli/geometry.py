@@ -85,8 +85,8 @@ def draw_part(part: Any, path: Path) -> None:
 
     import numpy as np
 
-    from scanmotion.cli.inputs import write_bytes
     from scanmotion.core.errors import HoleError
+    from scanmotion.core.whole_file import write_whole
     from scanmotion.report.figures.maps import hole_figure
     from scanmotion.sensing.holes.find import HoleReport
 
@@ -110,7 +110,7 @@ def draw_part(part: Any, path: Path) -> None:
             f'<img alt="six views" style="max-width:100%" src="data:image/png;base64,{image}">'
             "</body></html>\n"
         ).encode()
-    write_bytes(path, data)
+    write_whole(path, data)
 
 
 def holes(

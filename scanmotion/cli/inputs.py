@@ -1,5 +1,6 @@
 """Options that several commands share, and the doors through which their values come in."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -173,6 +174,26 @@ def check_file(option: str, path: Path) -> None:
     """
     if not path.is_file():
         raise InputError(f"{option} {path}: {'is not a file' if path.exists() else 'no such file'}")
+
+
+def meta_from(words: Sequence[str]) -> dict[str, str]:
+    """What --meta notes on a plan, by key.
+
+    Raises:
+        InputError: a word is not key=value, a key is there twice, or one is too long for a sheet.
+    """
+    noted: dict[str, str] = {}
+    for word in words:
+        key, sign, value = word.partition("=")
+        key, value = key.strip(), value.strip()
+        if not sign or not key or not value:
+            raise InputError(f"--meta {word!r}: key=value is expected, as operator=Meier")
+        if key in noted:
+            raise InputError(f"--meta {key}: is there twice")
+        if len(key) > 40 or len(value) > 2000:
+            raise InputError(f"--meta {key[:40]}: at most 40 letters for the key, 2000 for the value")
+        noted[key] = value
+    return noted
 
 
 def check_known(option: str, value: str, known: tuple[str, ...]) -> None:

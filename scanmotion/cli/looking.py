@@ -21,6 +21,10 @@ def verify(
         Path | None,
         typer.Option("--plan", help="The plan that a programme was made from; by default the file's folder."),
     ] = None,
+    margins: Annotated[
+        bool,
+        typer.Option("--margins", help="Tell too what is to spare: distances, joints, speeds."),
+    ] = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:
@@ -28,19 +32,27 @@ def verify(
     speeds, viewpoints, order, handshake.
     """
     if folder.is_file():
+        if margins:
+            raise InputError("--margins: of a plan's folder, not of a programme's file")
         return _verify_programme(folder, plan, quiet=quiet, json=json)
     if plan is not None:
         raise InputError("--plan: belongs to a programme's file, not to a plan's folder")
+    from scanmotion.judge import margins_of
     from scanmotion.judge import verify as judge
     from scanmotion.judge.left_out import not_judged
+    from scanmotion.report.words import margin_rows
 
     with progress_bar(quiet=quiet or json):
         findings = judge(folder)
+        spare = margins_of(folder) if margins else None
     if json:
         told = {"ok": not findings, "findings": [str(f) for f in findings]}
+        told |= {} if spare is None else {"margins": spare.model_dump(mode="json")}
         say_json(told | {"not_judged": not_judged(folder)})
     elif not quiet:
         _say_findings([str(f) for f in findings])
+        if spare is not None:
+            print_table("To spare", ("", "least or greatest", "where", "at"), margin_rows(spare))
         rows = [(pair["a"], pair["b"], pair["reason"]) for pair in not_judged(folder)]
         print_table("Pairs that are not judged", ("", "", "reason"), rows)
     return CHECK_FAILED if findings else OK
@@ -179,10 +191,13 @@ def export(
     at: Annotated[
         str | None, typer.Option("--at", help="Where the robot stands: A1,..,A6,E1 in degrees.")
     ] = None,
+    risk: Annotated[
+        bool, typer.Option("--risk/--no-risk", help="A risk sheet beside a programme.", rich_help_panel=OUT)
+    ] = True,
     quiet: Quiet = False,
 ) -> int:
-    """Write a plan for a controller or another program."""
-    from scanmotion.export import export_plan
+    """Write a plan for a controller or another program, and beside a programme its risk sheet."""
+    from scanmotion.export import PROGRAMMES, export_plan
 
     if out is not None and out.exists() and not out.is_dir():
         raise InputError(f"--out {out}: is not a folder")
@@ -190,7 +205,20 @@ def export(
         folder = _rest_folder(folder, out, step, at)
     elif at is not None:
         raise InputError("--at: belongs to --rest or --step")
-    for path in export_plan(folder, to, out=out, name=name, signal=signal, dry_run=dry_run):
+    paths = export_plan(folder, to, out=out, name=name, signal=signal, dry_run=dry_run)
+    if risk and to in PROGRAMMES:
+        paths += _risk_sheet(folder, folder if out is None else out, name)
+    for path in paths:
         if not quiet:
             typer.echo(str(path))
     return OK
+
+
+def _risk_sheet(folder: Path, out: Path, name: str) -> list[Path]:
+    """Writes the risk sheet of the plan."""
+    from scanmotion.export.source import write_files
+    from scanmotion.judge.left_out import not_judged
+    from scanmotion.judge.risk import risk_of
+    from scanmotion.judge.risk_page import risk_files
+
+    return write_files(out, risk_files(risk_of(folder), name, not_judged(folder)))

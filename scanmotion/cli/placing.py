@@ -73,7 +73,7 @@ def plan_placed(
     request: New, placing: "PlacementOptions", *, out: Path, html: bool, progress: Progress
 ) -> "PlacedPlan":
     """Plans all placements and writes their folder."""
-    from scanmotion.judge import verify
+    from scanmotion.judge import margins_of, verify
     from scanmotion.plan_io.placed_folder import save_placed
     from scanmotion.planning.placements import plan_placements
     from scanmotion.report.placements_page import placements_html
@@ -85,14 +85,15 @@ def plan_placed(
         if placement.plan.trajectory is None:
             raise InputError(f"nothing could be planned: {_why(placement.plan)}")
     save_placed(
-        made, out, judge=verify, pages=partial(pages, progress=progress) if html else None,
+        made, out, judge=verify, measure=margins_of,
+        pages=partial(pages, progress=progress) if html else None,
         page=(lambda p: {"report.html": placements_html(p)}) if html else None,
     )  # fmt: skip
     return made
 
 
 def _why(plan: "Plan") -> str:
-    return "; ".join(f"{name}: {reason}" for name, reason in plan.unreachable[:3])
+    return "; ".join(f"{name}: {reason}" for name, reason in plan.left_out[:3])
 
 
 def say_placed(out: Path, *, quiet: bool, json: bool) -> int:

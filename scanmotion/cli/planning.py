@@ -28,6 +28,7 @@ from scanmotion.cli.inputs import (  # fmt: skip
     check_known,
     check_mode,
     check_out_folder,
+    meta_from,
     part_and_source,
     say_read,
 )
@@ -37,7 +38,7 @@ from scanmotion.core.errors import InputError
 
 if TYPE_CHECKING:
     from scanmotion.cell.settings import CellSettings
-    from scanmotion.core.summary import LeftOut, Summary, WithinReach
+    from scanmotion.core.summary import LeftOut, Summary, ViewpointSummary, WithinReach
     from scanmotion.planning.options import PlanOptions
     from scanmotion.planning.plan import Plan
 
@@ -163,6 +164,15 @@ def plan(
         bool,
         typer.Option("--html/--no-html", help="Write scene.html and report.html.", rich_help_panel=OUT),
     ] = True,
+    meta: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--meta",
+            help="key=value for the report's sheet: object, operator, date, notes, or a word of your own; "
+            "may be repeated.",
+            rich_help_panel=OUT,
+        ),
+    ] = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:
@@ -180,6 +190,7 @@ def plan(
     only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
     subject = answer = None
     check_budget(budget)
+    noted = meta_from(meta or ())
     from scanmotion.planning.options import PlanOptions
 
     options = PlanOptions(calibrate=calibrate, surface=surface, keep_scans=save_scans, helix=helix)
@@ -198,11 +209,14 @@ def plan(
     if placing is not None:
         if not isinstance(request, New):
             raise InputError("--placements: not together with --keep; take up one placement's folder")
+        if noted:
+            raise InputError("--meta: not together with --placements; note it on one placement's plan")
         with progress_bar(quiet=quiet or json) as progress:
             plan_placed(request, placing, out=out, html=html, progress=progress)
         return say_placed(out, quiet=quiet, json=json)
     with progress_bar(quiet=quiet or json) as progress:
         made = request.planned(progress)
+        made = replace(made, meta={**made.meta, **noted})
         if is_complete(made):
             answer = write_answer(made, out, html=html)
         else:
@@ -236,10 +250,12 @@ class Again:
         from scanmotion.plan_io.load import load_plan
         from scanmotion.planning.replan import replan
 
-        return replan(
-            load_plan(self.folder), done=self.done, failed=self.failed, budget_s=self.budget,
-            options=self.options, progress=progress,
+        old = load_plan(self.folder)
+        made = replan(
+            old, done=self.done, failed=self.failed, budget_s=self.budget, options=self.options,
+            progress=progress,
         )  # fmt: skip
+        return replace(made, meta=old.meta)
 
 
 def only_with_keep(keep: Path | None, done: str, failed: Sequence[str] | None, **given: object) -> None:
@@ -283,9 +299,10 @@ def read_summary(folder: Path) -> "Summary":
 def print_summary(summary: "Summary", folder: Path, *, html: bool = True) -> None:
     """The table that ends `scanmotion plan`."""
     print_table("The plan", (), summary_rows(summary))
-    unreachable = summary.viewpoints.unreachable
-    if unreachable:
-        print_table("Viewpoints left out", ("viewpoint", "reason"), left_out_rows(unreachable))
+    views = summary.viewpoints
+    if views.left_out:
+        rows = left_out_rows(views.unreachable, views.not_worth)
+        print_table("Viewpoints left out", ("viewpoint", "reason"), rows)
     if summary.budget.advice:
         print_table("Over the budget", ("what would help",), [(a,) for a in summary.budget.advice])
     if summary.findings:
@@ -295,13 +312,12 @@ def print_summary(summary: "Summary", folder: Path, *, html: bool = True) -> Non
     print_table("Files", (), [(name.split(".")[0], str(folder / name)) for name in names])
 
 
-def left_out_rows(unreachable: "Sequence[LeftOut]") -> list[tuple[str, ...]]:
+def left_out_rows(unreachable: "Sequence[LeftOut]", not_worth: "Sequence[LeftOut]") -> list[tuple[str, ...]]:
     """Viewpoints and reasons; many that are only not worth their seconds share a line."""
-    dear = [u for u in unreachable if u.reason.startswith("not worth its seconds")]
-    if len(dear) <= FEW:
-        return [(u.id, u.reason) for u in unreachable]
-    rows: list[tuple[str, ...]] = [(u.id, u.reason) for u in unreachable if u not in dear]
-    return [*rows, (f"{len(dear)} others", "not worth their seconds; summary.json lists them")]
+    rows: list[tuple[str, ...]] = [(u.id, u.reason) for u in unreachable]
+    if len(not_worth) <= FEW:
+        return [*rows, *((u.id, u.reason) for u in not_worth)]
+    return [*rows, (f"{len(not_worth)} others", "not worth their seconds; summary.json lists them")]
 
 
 def summary_rows(summary: "Summary") -> list[tuple[str, ...]]:
@@ -311,7 +327,7 @@ def summary_rows(summary: "Summary") -> list[tuple[str, ...]]:
     split = f"arm {time.arm:.1f}, table {time.table:.1f}, sweep {time.sweep:.1f}, dwell {time.dwell:.1f}"
     verdict = "inside" if budget.ok else "OVER"
     return [
-        ("viewpoints", f"{views.global_} global, {views.local} local, {len(views.unreachable)} left out"),
+        ("viewpoints", f"{views.global_} global, {views.local} local, {_left_out(views)}"),
         ("completeness, of what can be seen", _share(done.final)),
         *sure_rows(summary),
         ("after the global step", _share(done.after_global)),
@@ -329,6 +345,11 @@ def summary_rows(summary: "Summary") -> list[tuple[str, ...]]:
         ("checks", counted(len(summary.findings))),
         ("planned in", f"{summary.planning_s['total']:.1f} s"),
     ]
+
+
+def _left_out(views: "ViewpointSummary") -> str:
+    lost, dear = len(views.unreachable), len(views.not_worth)
+    return f"{lost} unreachable" + (f", {dear} not worth their seconds" if dear else "")
 
 
 def _share(value: float | None) -> str:

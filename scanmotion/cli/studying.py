@@ -76,9 +76,9 @@ def report(
     check_suffix("--out", page, ".html")
     check_suffix("--best-cell", cell, ".yaml")
     from scanmotion.studies import table as tables
-    from scanmotion.studies.report import best_cell, ranking, report_html
+    from scanmotion.studies.report import best_cell, ranking, study_html
 
-    write_text(page, report_html(table))
+    write_text(page, study_html(table))
     if cell is not None:
         with tables.opened(table) as connection:
             write_text(cell, best_cell(ranking(tables.records(connection))))
@@ -106,7 +106,7 @@ def layout(
     from scanmotion.studies import layout as search
     from scanmotion.studies.run import StudyOptions
 
-    where = search.table_of(table, out)
+    where = search.layout_table(table, out)
     with progress_bar(quiet=quiet or json) as progress:
         found = search.layout_search(
             robot or "kr240",

@@ -47,7 +47,7 @@ def tracked(cell: Cell, t: np.ndarray, q: np.ndarray) -> np.ndarray:
     w = 2 * np.pi * BANDWIDTH_HZ
     n = plant.num_positions()
     gains: Any = (np.full(n, w**2), np.zeros(n), np.full(n, 2 * w))
-    control = builder.AddSystem(InverseDynamicsController(plant, *gains, False))
+    control = builder.AddSystem(InverseDynamicsController(plant, gains[0], gains[1], gains[2], False))
     curve = PiecewisePolynomial.FirstOrderHold(t, asked.T)
     source = builder.AddSystem(TrajectorySource(curve, 1, True))
     builder.Connect(source.get_output_port(), control.get_input_port_desired_state())

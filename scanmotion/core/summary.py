@@ -18,6 +18,10 @@ class Open(BaseModel):
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, populate_by_name=True)
 
 
+NOT_WORTH = "not worth its seconds"
+"""How the reason begins for which a viewpoint is left out that the robot could serve."""
+
+
 class LeftOut(Open):
     """A viewpoint that no operation serves."""
 
@@ -31,11 +35,19 @@ class ViewpointSummary(Open):
     global_: Count = Field(alias="global")
     local: Count
     unreachable: list[LeftOut]
+    """What the robot cannot serve."""
+    not_worth: list[LeftOut] = []
+    """What it could serve, and what adds less than its seconds are worth."""
     solvers: dict[str, str] = {}
     """Which solver found the pose of each viewpoint that is served, by id."""
 
+    @property
+    def left_out(self) -> list[LeftOut]:
+        """Every viewpoint that no operation serves."""
+        return [*self.unreachable, *self.not_worth]
 
-class Completeness(Open):
+
+class CompletenessSummary(Open):
     """Shares after the global step and at the end, of what can be seen; and of the whole surface; 0..1."""
 
     after_global: Real | None
@@ -226,11 +238,56 @@ class MotionSummary(Open):
     curve: list[CurveSummary] = []
 
 
+class Margin(Open):
+    """The least distance of two solids and when; -0.001 mm where they touch."""
+
+    mm: Real
+    a: str
+    b: str
+    t_s: Real
+
+
+class JointMargin(Open):
+    """The joint that comes nearest to an end of its range, and when."""
+
+    joint: str
+    deg: Real
+    t_s: Real
+
+
+class Extreme(Open):
+    """An extreme value, a speed in [m/s], and when."""
+
+    value: Real
+    t_s: Real
+
+
+class FastestSummary(Open):
+    """Greatest speeds [m/s] of the flange, the elbow and the scanner's optical centre."""
+
+    flange: Extreme
+    elbow: Extreme
+    scanner: Extreme
+
+
+class MarginsSummary(Open):
+    """How much the programme has to spare, by the judge's kinematics and solids."""
+
+    to_object: Margin | None
+    """Between robot or tool and the part."""
+    to_surroundings: Margin | None
+    """Between robot or tool and all that stands around."""
+    joint_limit: JointMargin | None
+    singularity: Extreme
+    """Least singular value of the flange's Jacobian, a metre weighed as a radian; 0 is singular."""
+    fastest: FastestSummary
+
+
 class Summary(Open):
     """summary.json."""
 
     viewpoints: ViewpointSummary
-    completeness: Completeness
+    completeness: CompletenessSummary
     within_reach: WithinReach = WithinReach(share=None, scanned=None)
     rounds: list[RoundSummary]
     searched: list[RoundSummary] = []
@@ -248,6 +305,9 @@ class Summary(Open):
     findings: list[str | dict[str, JsonValue]]
     planning_s: dict[str, Real]
     read: ReadSummary | None = None
+    margins: MarginsSummary | None = None
+    meta: dict[str, str] = {}
+    """What the user noted: object number, operator, date, notes."""
 
     @property
     def passes(self) -> bool:

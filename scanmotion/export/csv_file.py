@@ -6,7 +6,7 @@ import io
 import numpy as np
 
 from scanmotion.core.trajectory import SCANNING
-from scanmotion.export.job import Files, Job
+from scanmotion.export.job import ExportJob, Files
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 HEADER: tuple[str, ...] = (
@@ -15,7 +15,7 @@ HEADER: tuple[str, ...] = (
 )  # fmt: skip
 
 
-def csv_files(job: Job) -> Files:
+def csv_files(job: ExportJob) -> Files:
     """One row a sample: time, positions, velocities, operation, scanning or not, viewpoint ids."""
     source, name = job.source, job.name
     t = source.trajectory

@@ -9,7 +9,7 @@ import numpy as np
 from scanmotion.cell.programme_settings import ProgrammeSettings
 from scanmotion.cell.settings import CellSettings, settings_from
 from scanmotion.core.errors import InputError, PlanFileError
-from scanmotion.export.pose import Arm, arm_from_urdf
+from scanmotion.export.pose import Arm, arm_for_poses
 from scanmotion.export.source import Source, Stretch
 from scanmotion.plan_io.read import read_json, read_text
 
@@ -20,7 +20,7 @@ Files = dict[str, bytes | str]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Job:
+class ExportJob:
     """A plan that is to become a programme."""
 
     source: Source
@@ -36,7 +36,7 @@ class Job:
         """The chain of the plan's URDF."""
         record = self.source.record
         text = read_text(self.source.folder, record.urdf_file, limit=8 << 20)
-        return arm_from_urdf(text, record.robot_joints, record.flange_link)
+        return arm_for_poses(text, record.robot_joints, record.flange_link)
 
     @cached_property
     def X_FS(self) -> np.ndarray:
@@ -76,11 +76,11 @@ class Job:
         return self.source.stretches()
 
 
-Writer = Callable[[Job], Files]
+Writer = Callable[[ExportJob], Files]
 """Every writer of a format has this signature: files by name, nothing written yet."""
 
 
-def job_from(source: Source, name: str, *, signal: int | None = None, dry_run: bool = False) -> Job:
+def job_from(source: Source, name: str, *, signal: int | None = None, dry_run: bool = False) -> ExportJob:
     """A job with the settings of the plan's own cell.
 
     Args:
@@ -107,4 +107,4 @@ def job_from(source: Source, name: str, *, signal: int | None = None, dry_run: b
             ) from None
         if signal < 1:
             raise InputError(f"--signal {signal}: a digital output has a number from 1 to 8192")
-    return Job(source=source, name=name, signals=signals, mass=settings.tool.mass_kg, dry_run=dry_run)
+    return ExportJob(source=source, name=name, signals=signals, mass=settings.tool.mass_kg, dry_run=dry_run)

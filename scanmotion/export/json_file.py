@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from scanmotion.export.job import Files, Job
+from scanmotion.export.job import ExportJob, Files
 
 VERSION = 1
 UNITS = {
@@ -12,7 +12,7 @@ UNITS = {
 }  # fmt: skip
 
 
-def json_files(job: Job) -> Files:
+def json_files(job: ExportJob) -> Files:
     """One document: joints over time, operations and their viewpoints, poses of base, tool, table, object."""
     source, name = job.source, job.name
     record, t = source.record, source.trajectory

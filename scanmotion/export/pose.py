@@ -39,7 +39,7 @@ class Arm:
         return np.array(found)
 
 
-def arm_from_urdf(text: str, joints: tuple[str, ...], flange: str) -> Arm:
+def arm_for_poses(text: str, joints: tuple[str, ...], flange: str) -> Arm:
     """The chain of a URDF from its root to a flange link.
 
     Raises:

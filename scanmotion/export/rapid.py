@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scanmotion.core.errors import InputError
-from scanmotion.export.job import DRY_PERCENT, Files, Job
+from scanmotion.export.job import DRY_PERCENT, ExportJob, Files
 from scanmotion.export.knots import timed_knots
 from scanmotion.export.source import Stretch
 
@@ -33,7 +33,7 @@ RESERVED = frozenset(
 MOVE = "MoveAbsJ {target}\\T:={seconds:.3f},v100,{zone},{name}_tool\\WObj:={name}_base;"
 
 
-def rapid_files(job: Job) -> Files:
+def rapid_files(job: ExportJob) -> Files:
     """One module `NAME.mod` whose procedure NAME runs the scan.
 
     Raises:
@@ -73,7 +73,7 @@ def _plain(text: str) -> str:
     return _ODD.sub("_", text)[:60]
 
 
-def _remarks(job: Job) -> list[str]:
+def _remarks(job: ExportJob) -> list[str]:
     record, s = job.source.record, job.signals
     q = np.rad2deg(job.source.trajectory.q[:, 6])
     told = [
@@ -94,7 +94,7 @@ def target_text(degrees: np.ndarray) -> str:
     return f"[[{six}],[{round(float(degrees[6]), 5) + 0.0:.5f},9E9,9E9,9E9,9E9,9E9]]"
 
 
-def _data(job: Job) -> list[str]:
+def _data(job: ExportJob) -> list[str]:
     w = Rotation.from_matrix(job.X_FS[:3, :3]).as_quat(canonical=True, scalar_first=True)
     place = ",".join(f"{v * 1e3 + 0.0:.3f}" for v in job.X_FS[:3, 3])
     turn = ",".join(f"{v + 0.0:.8f}" for v in w)
@@ -118,7 +118,7 @@ def _data(job: Job) -> list[str]:
     ]
 
 
-def _main(job: Job) -> list[str]:
+def _main(job: ExportJob) -> list[str]:
     s, name = job.signals, job.name
     lines = [f"PROC {name}()", "CheckStart;"]
     lines += [f"SetDO do{s.start_out},0;"] if s.start_out and not job.dry_run else []
@@ -149,7 +149,7 @@ def points_of(stretch: Stretch) -> tuple[np.ndarray, np.ndarray]:
     return np.diff(stretch.t[knots]), q[knots[1:]]
 
 
-def _moves(stretch: Stretch, job: Job, *, marks: bool = False) -> list[str]:
+def _moves(stretch: Stretch, job: ExportJob, *, marks: bool = False) -> list[str]:
     if np.ptp(np.rad2deg(stretch.q), axis=0).max() < 1e-5:
         return [f"WaitTime {stretch.duration:.3f};"]
     seconds, points = points_of(stretch)
@@ -163,7 +163,7 @@ def _moves(stretch: Stretch, job: Job, *, marks: bool = False) -> list[str]:
     return lines
 
 
-def _scan(n: int, stretch: Stretch, job: Job) -> list[str]:
+def _scan(n: int, stretch: Stretch, job: ExportJob) -> list[str]:
     """What scans is a procedure of its own, with an error handler that leads back to where it starts."""
     still = np.ptp(np.rad2deg(stretch.q), axis=0).max() < 1e-5
     lines = [f"LOCAL PROC S{n}()", "ScanOn;", *_moves(stretch, job), "ScanOff;"]
@@ -183,7 +183,7 @@ def _scan(n: int, stretch: Stretch, job: Job) -> list[str]:
     return [*lines, "RETURN;", "ENDPROC"]
 
 
-def _back_by_points(n: int, way: np.ndarray, seconds: np.ndarray, job: Job) -> list[str]:
+def _back_by_points(n: int, way: np.ndarray, seconds: np.ndarray, job: ExportJob) -> list[str]:
     """Moves back through the points whose move had begun; the robot says itself how far it came."""
     lines = ["jNow:=CJointT();"]
     axis = int(np.abs(way[-1] - way[0]).argmax())
@@ -204,7 +204,7 @@ def _back_by_points(n: int, way: np.ndarray, seconds: np.ndarray, job: Job) -> l
     return [*lines, first]
 
 
-def _shared(job: Job) -> list[str]:
+def _shared(job: ExportJob) -> list[str]:
     s, name = job.signals, job.name
     near = f"{s.start_tolerance_deg:.3f}"
     fields = [*(f"robax.rax_{i}" for i in range(1, 7)), "extax.eax_a"]

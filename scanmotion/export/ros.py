@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from scanmotion.core.errors import InputError
-from scanmotion.export.job import Files, Job
+from scanmotion.export.job import ExportJob, Files
 from scanmotion.export.source import Source
 
 FRAME = "base_link"
 TRAJECTORY, STATES, SCANNING = "/joint_trajectory", "/joint_states", "/scanner_on"
 
 
-def yaml_files(job: Job) -> Files:
+def yaml_files(job: ExportJob) -> Files:
     """One JointTrajectory message as ROS 2 tools print and read it (`ros2 topic pub` takes it)."""
     source, name = job.source, job.name
     names = ", ".join(json.dumps(n) for n in source.record.joint_names)
@@ -40,7 +40,7 @@ def yaml_files(job: Job) -> Files:
     return {f"{name}.yaml": "\n".join(lines) + "\n"}
 
 
-def bag_files(job: Job) -> Files:
+def bag_files(job: ExportJob) -> Files:
     """A rosbag2 folder `<name>_bag`: the trajectory, the joint states over time, and when the scanner is on.
 
     Raises:

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.viewpoint import Slack, Viewpoint
-from scanmotion.export.job import Files, Job
+from scanmotion.export.job import ExportJob, Files
 from scanmotion.export.source import checked_id, checked_line, write_files
 from scanmotion.plan_io.schema import ViewpointRecord
 
@@ -26,7 +26,7 @@ MAX_VIEWPOINTS = 100_000
 _MAX_BYTES = 64 << 20
 
 
-def viewpoint_files(job: Job) -> Files:
+def viewpoint_files(job: ExportJob) -> Files:
     """Every viewpoint of a plan, served or not, as CSV and as JSON."""
     source, name = job.source, job.name
     views = [_view(v) for v in source.record.viewpoints]

@@ -19,7 +19,7 @@ from scanmotion.job.frame_files import (
     intrinsics_of,
     read_intrinsics,
 )
-from scanmotion.job.poses import LIST, Line, posed, read_list, read_log
+from scanmotion.job.poses import LIST, Line, posed, read_list, read_pose_log
 from scanmotion.job.store import Job, digest, with_batch
 from scanmotion.plan_io.load import load_plan
 from scanmotion.sensing.calibration import with_poses
@@ -92,7 +92,7 @@ def add_frames(
     number = options.plan or (len(job.record.plans) or None)
     if number is not None and not 1 <= number <= len(job.record.plans):
         raise InputError(f"--plan {number}: the job has the plans 1 to {len(job.record.plans)}")
-    log = None if options.log is None else read_log(options.log, cell.joint_names)
+    log = None if options.log is None else read_pose_log(options.log, cell.joint_names)
     trajectory = None
     if number is not None and log is None and not all(line.pose is not None for _, line in fresh):
         trajectory = load_plan(job.plan_folder(number)).trajectory

@@ -17,14 +17,11 @@ from scanmotion.job.simulate import write_simulated
 from scanmotion.job.store import Job, JobRecord, PlanEntry, new_job, with_plan
 from scanmotion.plan_io.load import load_plan
 from scanmotion.planning.pipeline import PlanOptions, plan
+from scanmotion.planning.segment import silent
 from scanmotion.sensing.fusion.surface import surface as surface_of
 from scanmotion.sensing.scan_files import save_cloud
 
 _MOST_REASONS = 8
-
-
-def silent(stage: str, share: float) -> None:
-    """Tells nobody."""
 
 
 def start_job(
@@ -121,7 +118,7 @@ def _left(made: Any) -> dict[str, Any]:
     for patch in made.unscanned:
         areas[patch.reason] = areas.get(patch.reason, 0.0) + float(patch.area) * 1e6
     reasons: dict[str, int] = {}
-    for _, why in made.unreachable:
+    for _, why in made.left_out:
         reasons[why] = reasons.get(why, 0) + 1
     return {
         "stays_out": [f"{area:.0f} mm2: {why}" for why, area in sorted(areas.items(), key=lambda x: -x[1])],

@@ -29,7 +29,7 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Segment:
+class JobSegment:
     """A batch in the model."""
 
     batch: int
@@ -45,7 +45,7 @@ class Model:
     """What the frames of a job show together."""
 
     cloud: Cloud
-    segments: tuple[Segment, ...]
+    segments: tuple[JobSegment, ...]
     holes: HoleReport
     part: Part
     """The cloud as a measured scan, in O."""
@@ -104,16 +104,16 @@ def model_of(
     return Model(cloud=cloud, segments=segments, holes=holes, part=part)
 
 
-def _left(numbers: list[int]) -> tuple[Segment, ...]:
-    return tuple(Segment(batch=n, registration=None, used=False) for n in numbers)
+def _left(numbers: list[int]) -> tuple[JobSegment, ...]:
+    return tuple(JobSegment(batch=n, registration=None, used=False) for n in numbers)
 
 
 def _registered(
     scans: list[Scan], numbers: list[int], voxel: float
-) -> tuple[list[Scan], tuple[Segment, ...]]:
+) -> tuple[list[Scan], tuple[JobSegment, ...]]:
     """Each later scan onto the first; then all that could be trusted onto one another at once."""
     clouds = [fuse([s], voxel=voxel) for s in scans]
-    segments = [Segment(batch=numbers[0], registration=None, used=False)]
+    segments = [JobSegment(batch=numbers[0], registration=None, used=False)]
     poses, trusted = [np.eye(4)], [0]
     for k in range(1, len(scans)):
         try:
@@ -121,14 +121,14 @@ def _registered(
         except InputError:
             found = None
         used = found is not None and found.trusted
-        segments.append(Segment(batch=numbers[k], registration=found, used=used))
+        segments.append(JobSegment(batch=numbers[k], registration=found, used=used))
         poses.append(found.X if found is not None and used else np.eye(4))
         trusted += [k] if used else []
     if len(trusted) > 2:
         start = np.stack([poses[k] for k in trusted])
         for k, found in zip(trusted[1:], align([clouds[k] for k in trusted], start=start)[1:], strict=True):
             if found.trusted:
-                segments[k] = Segment(batch=numbers[k], registration=found, used=True)
+                segments[k] = JobSegment(batch=numbers[k], registration=found, used=True)
                 poses[k] = found.X
     still = np.eye(4)
     return [s if np.array_equal(X, still) else moved(s, X) for s, X in zip(scans, poses, strict=True)], tuple(

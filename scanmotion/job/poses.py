@@ -114,7 +114,7 @@ def _rigid(X: np.ndarray) -> bool:
     return bool(np.isfinite(X).all() and orthogonal and np.allclose(X[3], [0, 0, 0, 1]))
 
 
-def read_log(path: Path, names: Sequence[str]) -> Trajectory:
+def read_pose_log(path: Path, names: Sequence[str]) -> Trajectory:
     """Reads a controller's log: CSV with t_s and the seven joints in degrees, by name (A1..A6, E1).
 
     Raises:

@@ -20,7 +20,7 @@ from scanmotion.report.assessment import (
     map_figure,
 )
 from scanmotion.report.figures.maps import hole_figure
-from scanmotion.report.page import image, page, table
+from scanmotion.report.html import image, page, table
 from scanmotion.sensing.metrology.alignment import aligned
 from scanmotion.sensing.metrology.deviations import deviations
 from scanmotion.sensing.metrology.measured import reference_part

@@ -15,11 +15,12 @@ from scanmotion.judge.contact import check_clearance
 from scanmotion.judge.frames import check_frames
 from scanmotion.judge.helix import check_helices
 from scanmotion.judge.limits import check_limits, check_record, check_settings, check_speed
+from scanmotion.judge.margins import margins_of
 from scanmotion.judge.motion import motion_from
-from scanmotion.judge.views import check_operations, check_viewpoints
+from scanmotion.judge.views import check_operations, judge_viewpoints
 from scanmotion.plan_io.read import read_json, read_plan, read_trajectory
 
-__all__ = ["Finding", "verify"]
+__all__ = ["Finding", "margins_of", "verify"]
 
 
 def verify(folder: str | Path, *, progress: Callable[[float], None] | None = None) -> list[Finding]:
@@ -46,7 +47,7 @@ def verify(folder: str | Path, *, progress: Callable[[float], None] | None = Non
     findings += check_limits(record, trajectory)
     findings += check_speed(record, trajectory, motion)
     findings += check_operations(record, trajectory)
-    findings += check_viewpoints(record, trajectory, motion)
+    findings += judge_viewpoints(record, trajectory, motion)
     findings += check_helices(record, trajectory, motion)
     if (folder / "summary.json").exists():
         findings += _check_summary(read_json(folder, "summary.json"), scan_s, trajectory.duration)

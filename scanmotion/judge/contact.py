@@ -84,7 +84,7 @@ def blocks(record: PlanRecord, trajectory: Trajectory, arm: UrdfArm, solids: lis
     fine = np.interp(np.arange(int(count[-1]) + 1), count, t)
     for first in range(0, len(fine) - 1, _BLOCK):
         t_fine = fine[first : first + _BLOCK + 1]
-        way = _way(motion_at(arm, record, t_fine, _between(t_fine, t, q)), solids)
+        way = way_of(motion_at(arm, record, t_fine, _between(t_fine, t, q)), solids)
         steps = max(int(np.ceil(way[-1] / STEP_M)), 1)
         marks = np.linspace(0.0, way[-1], steps + 1)
         at = np.interp(marks, way, t_fine)
@@ -98,7 +98,7 @@ def _between(at: np.ndarray, t: np.ndarray, q: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(at, t, q[:, j]) for j in range(q.shape[1])])
 
 
-def _way(motion: Motion, solids: list[Solid]) -> np.ndarray:
+def way_of(motion: Motion, solids: list[Solid]) -> np.ndarray:
     """Length of the way of the robot's fastest point plus that of the part's, from the first pose on."""
     robot, part = np.zeros(len(motion.t) - 1), np.zeros(len(motion.t) - 1)
     for s in solids:

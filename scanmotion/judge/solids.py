@@ -148,7 +148,7 @@ def pairs_of(
     around = [s for s in solids if s.group < 0]
     links = [s for s in solids if s.group >= 0]
     base = [s for s in links if s.group == 0]
-    pairs = [(a, b, clearance) for a in robot for b in around if not _stands(a, b)]
+    pairs = [(a, b, clearance) for a in robot for b in around if not stands_on(a, b)]
     # What turns must not touch what stands about it.
     turning = [s for s in around if s.group == PART or s.name in _TURNING]
     pairs += [(a, b, 0.0) for a in turning for b in around if b.group == STILL and b.name not in _UNDER]
@@ -160,7 +160,7 @@ def pairs_of(
     return pairs
 
 
-def _stands(a: Solid, b: Solid) -> bool:
+def stands_on(a: Solid, b: Solid) -> bool:
     """Whether a is of what A1 turns on the floor b."""
     return a.group == 1 and not a.side and b.name == "floor"
 

@@ -74,7 +74,7 @@ def _kind(o: OperationRecord, q: np.ndarray, name: str, record: PlanRecord) -> l
     return [Finding(code="order", message=message, where=name, t=o.t_start)] if message else []
 
 
-def check_viewpoints(record: PlanRecord, trajectory: Trajectory, motion: Motion) -> list[Finding]:
+def judge_viewpoints(record: PlanRecord, trajectory: Trajectory, motion: Motion) -> list[Finding]:
     """Every viewpoint is served where it asked for, in the order claimed, or stands among the unreachable."""
     findings = []
     views = {v.id: v for v in record.viewpoints}

@@ -99,7 +99,7 @@ def _nearest_to_axes(axes: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedNodes:
     """Configurations, with all that the time of a transit between them depends on."""
 
     q: np.ndarray
@@ -111,29 +111,29 @@ class Placed:
     branch: np.ndarray
     """Which way elbow and shoulder are bent, 0..3, shape (n,)."""
 
-    def __getitem__(self, rows: np.ndarray | slice) -> Placed:
-        return Placed(self.q[rows], self.p[rows], self.change[rows], self.branch[rows])
+    def __getitem__(self, rows: np.ndarray | slice) -> PlacedNodes:
+        return PlacedNodes(self.q[rows], self.p[rows], self.change[rows], self.branch[rows])
 
 
-def placed(model: MoveModel, q: np.ndarray | Placed) -> Placed:
+def placed_nodes(model: MoveModel, q: np.ndarray | PlacedNodes) -> PlacedNodes:
     """Forward kinematics of configurations (n, 7) or (7,); what is placed already is returned as it is."""
-    if isinstance(q, Placed):
+    if isinstance(q, PlacedNodes):
         return q
     q = np.ascontiguousarray(np.atleast_2d(q), dtype=float)
     p, change = _tangents(model.axes, model.points, model.p_WS, q)
-    return Placed(q, p, change, _branches(model.axes, model.points, model.p_WC, q))
+    return PlacedNodes(q, p, change, _branches(model.axes, model.points, model.p_WC, q))
 
 
-def joined(parts: Sequence[Placed]) -> Placed:
+def joined_nodes(parts: Sequence[PlacedNodes]) -> PlacedNodes:
     """All configurations in one."""
-    return Placed(
+    return PlacedNodes(
         *(np.concatenate([getattr(x, name) for x in parts]) for name in ("q", "p", "change", "branch"))
     )
 
 
 def scanner_positions(model: MoveModel, q: np.ndarray) -> np.ndarray:
     """The scanner's origin in W, shape (n, 3) [m], for configurations (n, 7)."""
-    return placed(model, q).p
+    return placed_nodes(model, q).p
 
 
 def edge_seconds(cell: Cell, qa: np.ndarray, qb: np.ndarray) -> np.ndarray:
@@ -147,22 +147,22 @@ def edge_seconds(cell: Cell, qa: np.ndarray, qb: np.ndarray) -> np.ndarray:
     return move_seconds(move_model(cell), qa, qb)
 
 
-def move_seconds(model: MoveModel, qa: np.ndarray | Placed, qb: np.ndarray | Placed) -> np.ndarray:
+def move_seconds(model: MoveModel, qa: np.ndarray | PlacedNodes, qb: np.ndarray | PlacedNodes) -> np.ndarray:
     """`edge_seconds` for a model made before."""
-    return _times(model, True, placed(model, qa), placed(model, qb))[:, 0]
+    return _times(model, True, placed_nodes(model, qa), placed_nodes(model, qb))[:, 0]
 
 
-def move_matrix(model: MoveModel, qa: np.ndarray | Placed, qb: np.ndarray | Placed) -> np.ndarray:
+def move_matrix(model: MoveModel, qa: np.ndarray | PlacedNodes, qb: np.ndarray | PlacedNodes) -> np.ndarray:
     """Time of a transit from each of qa (n, 7) to each of qb (m, 7), shape (n, m) [s].
 
     The length of the scanner's way along a joint line is that of the cubic through both ends' tangents, taken
     as the mean of its chord and its control polygon (Gravesen, Computational Geometry 8(1), 1997, 13-31,
     doi 10.1016/0925-7721(95)00054-2).
     """
-    return _times(model, False, placed(model, qa), placed(model, qb))
+    return _times(model, False, placed_nodes(model, qa), placed_nodes(model, qb))
 
 
-def _times(model: MoveModel, paired: bool, a: Placed, b: Placed) -> np.ndarray:
+def _times(model: MoveModel, paired: bool, a: PlacedNodes, b: PlacedNodes) -> np.ndarray:
     m = model
     return _transits(
         m.v, m.a, m.j, m.transit_speed, paired, a.q, a.p, a.change, a.branch, b.q, b.p, b.change, b.branch

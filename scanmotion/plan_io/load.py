@@ -78,8 +78,9 @@ def load_plan(folder: str | Path) -> Plan:
         part=solid, cell=cell, options=options, segments=tuple(segments), trajectory=trajectory,
         way_home=way_home,
         cloud=read_cloud(folder), holes=read_holes(folder), samples=samples, visible=arrays.get("visible"),
-        dropped=tuple((u.id, u.reason) for u in summary.viewpoints.unreachable if u.id not in known),
+        dropped=tuple((u.id, u.reason) for u in summary.viewpoints.left_out if u.id not in known),
         unscanned=_unscanned(summary), planning_s=dict(summary.planning_s), summary=summary,
+        meta=summary.meta,
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from scanmotion import __version__
 from scanmotion.plan_io.files import fill, fresh_folder
-from scanmotion.plan_io.save import Judge, Pages, Saved, save
+from scanmotion.plan_io.save import Judge, Measure, Pages, Saved, save
 from scanmotion.plan_io.write import json_text
 from scanmotion.planning.placements import PlacedPlan, Placement
 
@@ -23,6 +23,7 @@ def save_placed(
     folder: str | Path,
     *,
     judge: Judge,
+    measure: Measure | None = None,
     pages: Pages | None = None,
     page: Callable[[PlacedPlan], Mapping[str, str]] | None = None,
 ) -> tuple[Saved, ...]:
@@ -32,6 +33,7 @@ def save_placed(
         placed: with a trajectory in each placement.
         folder: new, empty, or of placements, which is replaced.
         judge: looks at each placement's files.
+        measure: finds in each folder what its programme has to spare.
         pages: makes scene.html and report.html of each.
         page: makes further files about all of them, by name.
 
@@ -40,7 +42,9 @@ def save_placed(
         InputError: a placement has no trajectory.
     """
     with fresh_folder(folder, mark=MARK) as fresh:
-        saved = tuple(save(p.plan, fresh / p.name, judge=judge, pages=pages) for p in placed.placements)
+        saved = tuple(
+            save(p.plan, fresh / p.name, judge=judge, measure=measure, pages=pages) for p in placed.placements
+        )
         files = {
             MARK: json_text({"software": f"scanmotion {__version__}", **placements_record(placed)}),
             "summary.json": json_text(placed_summary(placed, saved)),

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from scanmotion.core.finding import Finding
+from scanmotion.core.summary import MarginsSummary
 from scanmotion.plan_io.files import check_names, fill, fresh_folder
 from scanmotion.plan_io.measured import scan_files
 from scanmotion.plan_io.summary import summary_from, surface_from
@@ -20,6 +21,8 @@ __all__ = ["Judge", "Saved", "judged", "save"]
 
 Judge = Callable[[Path], Sequence[Finding]]
 """Looks at a plan's folder; see `scanmotion.verify`."""
+Measure = Callable[[Path], MarginsSummary]
+"""Measures a plan's folder; see `scanmotion.judge.margins`."""
 Pages = Callable[[Plan], Mapping[str, str]]
 """Makes further files of a judged plan, by name."""
 
@@ -39,6 +42,7 @@ def save(
     folder: str | Path,
     *,
     judge: Judge,
+    measure: Measure | None = None,
     pages: Pages | None = None,
     extras: Mapping[str, bytes | str] | None = None,
 ) -> Saved:
@@ -48,6 +52,7 @@ def save(
         plan: with a trajectory.
         folder: replaced if it exists.
         judge: looks at the files before they take the folder's place.
+        measure: finds in them what the programme has to spare.
         pages: makes further files of the judged plan, as scene.html and report.html.
         extras: further files by name.
 
@@ -59,7 +64,7 @@ def save(
     check_names(extras or {})
     with fresh_folder(folder) as fresh:
         fill(fresh, files, folder)
-        saved = _judged(plan, fresh, judge)
+        saved = _judged(plan, fresh, judge, measure)
         assert saved.plan.summary is not None
         more: dict[str, bytes | str] = {"summary.json": json_text(saved.plan.summary.document())}
         if plan.scans and plan.cloud is not None:
@@ -84,7 +89,8 @@ def judged(plan: Plan, *, judge: Judge) -> Saved:
         return _judged(plan, Path(work), judge)
 
 
-def _judged(plan: Plan, folder: Path, judge: Judge) -> Saved:
+def _judged(plan: Plan, folder: Path, judge: Judge, measure: Measure | None = None) -> Saved:
     told = () if plan.last_word is None else plan.last_word.findings
     findings = (*told, *judge(folder))
-    return Saved(plan=replace(plan, summary=summary_from(plan, findings)), findings=findings)
+    margins = None if measure is None else measure(folder)
+    return Saved(plan=replace(plan, summary=summary_from(plan, findings, margins)), findings=findings)

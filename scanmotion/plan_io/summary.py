@@ -11,11 +11,12 @@ from scanmotion.core.finding import Finding
 from scanmotion.core.summary import (
     AccuracySummary,
     BudgetSummary,
-    Completeness,
+    CompletenessSummary,
     DrakeSummary,
     FormSummary,
     HelixSummary,
     LeftOut,
+    MarginsSummary,
     PatchSummary,
     RoundSummary,
     Summary,
@@ -37,12 +38,13 @@ from scanmotion.sensing.fusion.surface import surface
 __all__ = ["summary_from", "surface_from"]
 
 
-def summary_from(plan: Plan, findings: Sequence[Finding]) -> Summary:
+def summary_from(plan: Plan, findings: Sequence[Finding], margins: MarginsSummary | None = None) -> Summary:
     """What the plan achieves; docs/results.md says what each figure means.
 
     Args:
         plan: as it was made.
         findings: what the judge says of its files.
+        margins: what the programme has to spare, where it was measured.
     """
     served = [v for item in plan.segments for v in item.served]
     told = {
@@ -50,9 +52,10 @@ def summary_from(plan: Plan, findings: Sequence[Finding]) -> Summary:
             "global": sum(v.step == "global" for v in served),
             "local": sum(v.step == "local" for v in served),
             "unreachable": [LeftOut(id=name, reason=reason) for name, reason in plan.unreachable],
+            "not_worth": [LeftOut(id=name, reason=reason) for name, reason in plan.not_worth],
             "solvers": plan.solvers,
         },
-        "completeness": Completeness(**_rounded(plan.completeness())),
+        "completeness": CompletenessSummary(**_rounded(plan.completeness())),
         "within_reach": WithinReach(**_rounded(plan.within_reach())),
         "rounds": [_round(plan, item) for item in plan.segments],
         "searched": [_round(plan, item) for item in plan.searched],
@@ -74,6 +77,8 @@ def summary_from(plan: Plan, findings: Sequence[Finding]) -> Summary:
         **({} if plan.motion is None else {"motion": dict(plan.motion)}),
         **({} if plan.last_word is None else {"drake": _drake(plan.last_word)}),
         **({} if plan.part.report is None else {"read": plan.part.report.record()}),
+        **({} if margins is None else {"margins": margins}),
+        **({"meta": dict(plan.meta)} if plan.meta else {}),
         "findings": [str(f) for f in findings],
         "planning_s": {k: round(v, 2) for k, v in plan.planning_s.items()},
     }  # fmt: skip

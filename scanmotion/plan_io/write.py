@@ -37,7 +37,7 @@ def _lost(unreachable: tuple[tuple[str, str], ...]) -> str:
 def plan_files(plan: Plan) -> dict[str, bytes | str]:
     """The files of a plan folder but summary.json and the pages."""
     if plan.trajectory is None:
-        raise InputError(f"nothing could be planned: {_lost(plan.unreachable)}")
+        raise InputError(f"nothing could be planned: {_lost(plan.left_out)}")
     solid, cycle = plan.cell.part, plan.cycle
     assert solid is not None and cycle is not None
     return {

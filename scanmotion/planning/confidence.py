@@ -84,7 +84,9 @@ class Confidence:
         if self.mean_abs is None:
             return told
         a = self.mean_abs
-        return f"{told}, mean {_mm(a.value):.3f} mm (95 %: {_mm(a.low):.3f} to {_mm(a.high):.3f})"
+        # The simulated value is without the unknown constant errors, so it may lie below the interval.
+        low, high = _mm(a.low), _mm(a.high)
+        return f"{told}; with the stated uncertainties the mean error is {low:.3f} to {high:.3f} mm"
 
 
 def _mm(metres: float) -> float:

@@ -19,7 +19,7 @@ from scanmotion.core.tour import Path, Stop, Tour
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Slack, Viewpoint
 from scanmotion.geometry.parts import surface_samples
-from scanmotion.motion.continuous.choose import Continuous, ContinuousSearch, renamed
+from scanmotion.motion.continuous.choose import Continuous, ContinuousSearch, numbered_views
 from scanmotion.motion.continuous.options import ContinuousOptions
 from scanmotion.motion.order.lower_bound import floor_seconds
 from scanmotion.motion.timing.operations import time_plan
@@ -54,7 +54,7 @@ class Wanted:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Tried:
+class TriedMotion:
     """A motion and what it sees of the samples."""
 
     found: Continuous
@@ -121,7 +121,7 @@ def continuous_programme(
     )  # fmt: skip
     progress(0.2)
 
-    def attempt(price: float, begin: Tried | None) -> Tried | None:
+    def attempt(price: float, begin: TriedMotion | None) -> TriedMotion | None:
         found = search.found(
             price, rng=rng, longest=wanted.budget_s, begin=None if begin is None else begin.found.choice
         )
@@ -129,7 +129,7 @@ def continuous_programme(
             return None
         seen = seen_along(cell, scanner, scene, found, *samples)
         share = float(seen.sum()) / max(int((visible | seen).sum()), 1)
-        return Tried(found=found, price=price, seen=seen, completeness=share)
+        return TriedMotion(found=found, price=price, seen=seen, completeness=share)
 
     tried = _ladder(attempt, wanted, options.price, progress)
     if not tried:
@@ -138,13 +138,13 @@ def continuous_programme(
 
 
 def _ladder(
-    attempt: Callable[[float, Tried | None], Tried | None],
+    attempt: Callable[[float, TriedMotion | None], TriedMotion | None],
     wanted: Wanted,
     price: float,
     progress: Callable[[float], None],
-) -> list[Tried]:
+) -> list[TriedMotion]:
     """Motions at prices that are raised or lowered until what is wanted is met."""
-    tried: list[Tried] = []
+    tried: list[TriedMotion] = []
     for n in range(1 + _STEPS):
         new = attempt(price, tried[-1] if tried else None)
         progress(0.2 + 0.8 * (n + 1) / (1 + _STEPS))
@@ -163,7 +163,7 @@ def _ladder(
     return tried
 
 
-def _best(tried: list[Tried], wanted: Wanted) -> Tried:
+def _best(tried: list[TriedMotion], wanted: Wanted) -> TriedMotion:
     """The fastest that is complete enough; else the most complete one inside the budget."""
     if wanted.completeness is not None:
         enough = [t for t in tried if t.completeness >= wanted.completeness]
@@ -186,10 +186,10 @@ def seen_along(
 
 
 def _programme(
-    cell: Cell, scene: Scene, best: Tried, tried: list[Tried], start_q: np.ndarray
+    cell: Cell, scene: Scene, best: TriedMotion, tried: list[TriedMotion], start_q: np.ndarray
 ) -> ContinuousProgramme:
     names = tuple(f"P{k + 1}" for k in range(len(best.found.passes)))
-    found = renamed(best.found, names)
+    found = numbered_views(best.found, names)
     standoffs = _standoffs(scene, found.X_OS, cell.settings.scanner_model())
     views = tuple(
         Viewpoint(
@@ -218,7 +218,7 @@ def _standoffs(scene: Scene, X_OS: np.ndarray, scanner: Scanner) -> list[float]:
     return [float(d) if near <= d <= far else 0.5 * (near + far) for d in hit]
 
 
-def _record(best: Tried, tried: list[Tried]) -> dict[str, Any]:
+def _record(best: TriedMotion, tried: list[TriedMotion]) -> dict[str, Any]:
     curve = sorted((round(t.seconds, 2), round(t.completeness, 6)) for t in tried)
     return {
         "kind": "continuous", "seconds": round(best.seconds, 2),

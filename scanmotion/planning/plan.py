@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.last_word import LastWord
 from scanmotion.core.finding import Finding
 from scanmotion.core.part import Part, SurfaceSamples
-from scanmotion.core.summary import Summary
+from scanmotion.core.summary import NOT_WORTH, Summary
 from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.planning.confidence import Confidence
@@ -70,8 +71,29 @@ class Plan:
     """The continuous motion, as the summary tells it; None for stops."""
     last_word: LastWord | None = None
     """What Drake says of the whole motion; None where nothing moves."""
+    meta: Mapping[str, str] = field(default_factory=dict)
+    """What the user notes, as object number, operator, date; it stands in the summary and report."""
     summary: Summary | None = None
     """What the plan achieves and what the judge found; None until it is saved."""
+
+    def _told(self) -> list[tuple[str, str]]:
+        """What a short form says: name and value."""
+        seconds, done = self.time_s()["total"], self.completeness()["final"]
+        served = len({v.id for item in self.segments for v in item.served})
+        told = [("part", self.part.name), ("viewpoints served", str(served)), ("time", f"{seconds:.1f} s")]
+        told += [] if done is None else [("scanned, of what can be seen", f"{done:.2%}")]
+        told += [("unreachable", str(len(self.unreachable)))] if self.unreachable else []
+        told += [("not worth their seconds", str(len(self.not_worth)))] if self.not_worth else []
+        checks = "not judged yet" if self.summary is None else f"{len(self.summary.findings)} findings"
+        return [*told, ("checks", checks)]
+
+    def __repr__(self) -> str:
+        return "Plan(" + "; ".join(f"{name}: {value}" for name, value in self._told()) + ")"
+
+    def _repr_html_(self) -> str:
+        """The short form as a table, for notebooks."""
+        rows = "".join(f"<tr><th>{escape(a)}</th><td>{escape(b)}</td></tr>" for a, b in self._told())
+        return f"<table>{rows}</table>"
 
     @property
     def viewpoints(self) -> tuple[Viewpoint, ...]:
@@ -79,9 +101,19 @@ class Plan:
         return tuple(r.viewpoint for item in self.segments for r in item.reaches)
 
     @property
-    def unreachable(self) -> tuple[tuple[str, str], ...]:
+    def left_out(self) -> tuple[tuple[str, str], ...]:
         """(id, reason) of viewpoints that no operation serves."""
         return self.dropped + tuple(pair for item in self.segments for pair in item.unreachable)
+
+    @property
+    def unreachable(self) -> tuple[tuple[str, str], ...]:
+        """(id, reason) of those that the robot cannot serve."""
+        return tuple(pair for pair in self.left_out if not pair[1].startswith(NOT_WORTH))
+
+    @property
+    def not_worth(self) -> tuple[tuple[str, str], ...]:
+        """(id, reason) of those that it could serve and that add less than their seconds are worth."""
+        return tuple(pair for pair in self.left_out if pair[1].startswith(NOT_WORTH))
 
     @property
     def seen(self) -> np.ndarray | None:
@@ -166,7 +198,7 @@ class Plan:
             PlanFileError: the folder cannot be written.
             InputError: there is no trajectory to write.
         """
-        from scanmotion.judge import verify
+        from scanmotion.judge import margins_of, verify
         from scanmotion.plan_io.save import save
 
-        return list(save(self, folder, judge=verify, pages=pages, extras=extras).findings)
+        return list(save(self, folder, judge=verify, measure=margins_of, pages=pages, extras=extras).findings)

@@ -12,6 +12,7 @@ import numpy as np
 from scanmotion.cell.build import Cell
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.core.part import SurfaceSamples
+from scanmotion.core.summary import NOT_WORTH
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.planning.context import Context
 from scanmotion.planning.segment import Segment, costs, with_left_out
@@ -162,7 +163,7 @@ def not_worth(stops: Sequence[StopSeen], samples: int, *, rate: float, save: flo
         stop = kept[least]
         adding = f"it adds {adds[least]:.3%} in {stop.seconds:.1f} s"
         if worth[least] < rate:
-            reason = f"not worth its seconds: {adding}"
+            reason = f"{NOT_WORTH}: {adding}"
         elif save > 0.0:
             reason = f"no seconds are left for it in the budget: {adding}"
             save -= stop.seconds

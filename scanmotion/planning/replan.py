@@ -78,7 +78,7 @@ def replan(
             raise InputError("the earlier plan has lost its measured cloud")
         state = replace(state, cloud=old.cloud)
     state = _with_executed(ctx, state, whole, finished, views)
-    given_up = dict(old.unreachable) | dict.fromkeys(failed, FAILED)
+    given_up = dict(old.left_out) | dict.fromkeys(failed, FAILED)
     for step in ("global", "local"):
         rest = [v for v in old.viewpoints if v.step == step and v.id not in served and v.id not in given_up]
         if rest:

@@ -12,6 +12,7 @@ import numpy as np
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.core.errors import PathError
+from scanmotion.core.summary import NOT_WORTH
 from scanmotion.core.tour import Path, Stop, Tour
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint
@@ -149,7 +150,7 @@ def _detours(trajectory: Trajectory, local: set[str], longest: float) -> dict[st
     seconds, viewpoints = max(ways, default=(0.0, ()), key=lambda w: w[0])
     if seconds <= longest:
         return {}
-    return {v: f"not worth its seconds: the way there takes {seconds:.1f} s" for v in viewpoints}
+    return {v: f"{NOT_WORTH}: the way there takes {seconds:.1f} s" for v in viewpoints}
 
 
 def with_left_out(segment: Segment, earlier: Sequence[Segment], out: Mapping[str, str]) -> Segment:
@@ -193,7 +194,7 @@ def _dear(cell: Cell, tour: Tour, trajectory: Trajectory, worth: Mapping[str, fl
     for n, (stop, cost) in enumerate(zip(tour.stops, costs(cell, tour, trajectory), strict=True)):
         if cost > sum(worth.get(v, np.inf) for v in stop.viewpoints) and n > last + 1:
             last = n
-            dear.update({v: f"not worth its seconds: it would cost {cost:.1f} s" for v in stop.viewpoints})
+            dear.update({v: f"{NOT_WORTH}: it would cost {cost:.1f} s" for v in stop.viewpoints})
     return dear
 
 

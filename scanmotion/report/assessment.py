@@ -11,7 +11,7 @@ from scanmotion import __version__
 from scanmotion.core.part import Part
 from scanmotion.report.figures.maps import SIDES, new_figure
 from scanmotion.report.figures.surface import picture_of, shaded, view_of
-from scanmotion.report.page import image, page, table
+from scanmotion.report.html import image, page, table
 from scanmotion.sensing.metrology.alignment import Alignment
 from scanmotion.sensing.metrology.deviations import PERCENTILES, Deviations, Spread
 

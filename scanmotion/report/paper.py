@@ -24,8 +24,8 @@ from scanmotion.planning.pipeline import plan
 from scanmotion.planning.plan import Plan
 from scanmotion.report.assessment import Assessment, histogram_figure, map_figure
 from scanmotion.report.figures.maps import coverage_figure, hole_figure, new_figure, reach_figure
-from scanmotion.report.page import image, page, table
-from scanmotion.sensing.metrology.deviations import Limits, deviations
+from scanmotion.report.html import image, page, table
+from scanmotion.sensing.metrology.deviations import DeviationLimits, deviations
 from scanmotion.views.hole_views import grid_positions, paper_positions
 
 PAPER_TOUR_MM = (763.9, 585.7)
@@ -193,7 +193,7 @@ def _deviation(it: PaperExperiments) -> list[str]:
     cloud, exact = it.made.cloud, it.made.accuracy()
     if cloud is None or exact is None:
         return []
-    found = deviations(cloud.points, cloud.normals, it.part, limits=Limits(samples=20_000))
+    found = deviations(cloud.points, cloud.normals, it.part, limits=DeviationLimits(samples=20_000))
     held = Assessment(measured="fused model", reference=it.part, alignment=None, found=found, limit=0.5e-3)
     mean, sd = PAPER_CARVING
     rows = [

@@ -26,8 +26,8 @@ from scanmotion.report.figures.shapes import (  # fmt: skip
     label,
     paintable,
     segments,
+    shading_normals,
     tube,
-    vertex_normals,
 )
 from scanmotion.report.figures.sight import first_sight
 from scanmotion.report.figures.surface import nearest_status, status_of_samples
@@ -168,7 +168,7 @@ def _surface(meshcat: Meshcat, plan: Plan) -> list[tuple[str, float]]:
     """The part's triangles in pieces, one for each colour and instant at which it appears."""
     assert plan.samples is not None
     vertices, triangles = paintable(plan.part)
-    normals = vertex_normals((vertices, triangles))
+    normals = shading_normals((vertices, triangles))
     ends, first = first_sight(plan)
     status = status_of_samples(plan)
     # One number for both: which sample is nearest is asked once.
@@ -196,7 +196,7 @@ def _cloud(meshcat: Meshcat, points: np.ndarray) -> None:
 
 
 def _viewpoints(meshcat: Meshcat, plan: Plan) -> None:
-    lost = dict(plan.unreachable)
+    lost = dict(plan.left_out)
     scanner = plan.cell.settings.scanner_model()
     edges = field_edges(scanner, 0.02, 0.10)
     for view in plan.viewpoints:

@@ -20,7 +20,7 @@ SURFACE, RIM, BOX, SCANNER = 0x9AA5B1, 0xC2410C, 0x1D4ED8, 0x0F766E
 _EDGES = ((0, 1), (1, 3), (3, 2), (2, 0), (4, 5), (5, 7), (7, 6), (6, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 
 
-class Scene:
+class PageScene:
     """What is to be drawn; made by `scene`, read by `page` and by notebooks."""
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ def scene(
     viewpoints: Iterable[Viewpoint] = (),
     scanner: Any = None,
     most_points: int = 60000,
-) -> Scene:
+) -> PageScene:
     """A scene of any of: a cloud or mesh, holes with their boxes and normals, viewpoints with their fields.
 
     Args:
@@ -97,7 +97,7 @@ def scene(
     """
     import meshcat.geometry as mg
 
-    out = Scene()
+    out = PageScene()
     if points is not None and triangles is not None and len(triangles):
         paint = mg.MeshPhongMaterial(color=SURFACE, side=2)
         out.root["surface"].set_object(
@@ -113,7 +113,7 @@ def scene(
     return out
 
 
-def write_page(drawn: Scene, path: str | Path) -> Path:
+def write_page(drawn: PageScene, path: str | Path) -> Path:
     """Saves the scene as one HTML file that needs no server and no network."""
     path = Path(path)
     path.write_text(drawn.page(), encoding="utf-8")

@@ -81,7 +81,7 @@ def calibrate(
         InputError: no spot was seen by two frames.
     """
     total = sum(len(s) for s in scans)
-    scans = [thinned(s, max(1, -(-total // points))) for s in scans]
+    scans = [thinned_frames(s, max(1, -(-total // points))) for s in scans]
     asked = np.ones(len(PARAMETERS), bool)
     moves = any(
         s.captures.rates is not None and np.abs(s.captures.rates).max(initial=0) > 1e-6 for s in scans
@@ -133,7 +133,7 @@ def errors_from(theta: np.ndarray) -> ScanErrors:
     )  # fmt: skip
 
 
-def thinned(scan: Scan, every: int) -> Scan:
+def thinned_frames(scan: Scan, every: int) -> Scan:
     """Every so-manieth point of the scan."""
     s = slice(None, None, every)
     return replace(

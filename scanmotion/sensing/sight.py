@@ -114,7 +114,7 @@ def octahedral(cells: int) -> np.ndarray:
 
 
 @njit(cache=True, inline="always")
-def cell_of(x, y, z, cells):
+def grid_cell_of(x, y, z, cells):
     """The cell of the octahedral map that a direction (x, y, z), of any length, falls into."""
     s = abs(x) + abs(y) + abs(z)
     u, v = x / s, y / s
@@ -174,9 +174,9 @@ def frame_mask(X, p, n, opened, cells, field, near, out):
     qx, qy, qz = ox + field[5] * X[0, 0], oy + field[5] * X[1, 0], oz + field[5] * X[2, 0]
     for j in range(len(near)):
         if near[j]:
-            k = cell_of(ox - p[0, j], oy - p[1, j], oz - p[2, j], cells)
+            k = grid_cell_of(ox - p[0, j], oy - p[1, j], oz - p[2, j], cells)
             if (opened[j, k >> 6] >> np.uint64(k & 63)) & np.uint64(1):
-                k = cell_of(qx - p[0, j], qy - p[1, j], qz - p[2, j], cells)
+                k = grid_cell_of(qx - p[0, j], qy - p[1, j], qz - p[2, j], cells)
                 if (opened[j, k >> 6] >> np.uint64(k & 63)) & np.uint64(1):
                     out[j >> 6] |= np.uint64(1) << np.uint64(j & 63)
 

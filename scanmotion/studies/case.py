@@ -43,7 +43,7 @@ FIGURES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class CaseRow:
     """What came of one case."""
 
     id: str
@@ -59,7 +59,7 @@ class Row:
     version: str
 
 
-def row_of(case: Case, part: Part, *, keep_in: Path | None = None) -> Row:
+def row_of(case: Case, part: Part, *, keep_in: Path | None = None) -> CaseRow:
     """Plans, or counts, one case.
 
     Args:
@@ -82,7 +82,7 @@ def row_of(case: Case, part: Part, *, keep_in: Path | None = None) -> Row:
         status, reason = "refused", " ".join(str(error).split())
     except Exception as error:
         status, reason = "fault", f"{type(error).__name__}: {error}"[:500]
-    return Row(
+    return CaseRow(
         id=case.id,
         status=status,
         reason=reason,
@@ -124,11 +124,11 @@ def _planned(
         "floor_s": float(time_s["floor"]),
         "mean_abs_mm": accuracy.mean_abs * 1e3 if accuracy else None,
         "sd_signed_mm": accuracy.sd_signed * 1e3 if accuracy else None,
-        "viewpoints": float(len(made.viewpoints) - len(made.unreachable)),
+        "viewpoints": float(len(made.viewpoints) - len(made.left_out)),
         "unreachable": float(len(made.unreachable)),
         "findings": float(len(summary.get("findings", ()))),
     }
-    reason = "" if made.trajectory is not None else _why(made.unreachable)
+    reason = "" if made.trajectory is not None else _why(made.left_out)
     return figures, reason, hashlib.sha256(data).hexdigest()
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
-from scanmotion.studies.case import Row, row_of
+from scanmotion.studies.case import CaseRow, row_of
 from scanmotion.studies.settings import Case
 
 KILLS = 3
@@ -151,7 +151,7 @@ def _part_plugin() -> Any:
     return PartOnWorker
 
 
-def run_on_worker(case: Case, keep_in: str | None) -> Row:
+def run_on_worker(case: Case, keep_in: str | None) -> CaseRow:
     """What a worker runs: the case, on the part that it holds."""
     from distributed import get_worker
 

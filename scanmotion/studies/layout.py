@@ -169,6 +169,6 @@ def _tried(values: dict[str, float], row: dict[str, Any], told: LayoutOptions) -
     )
 
 
-def table_of(path: Path | None, out: Path) -> Path:
+def layout_table(path: Path | None, out: Path) -> Path:
     """The file of the search's table: as named, or beside the YAML that is written."""
     return path if path is not None else out.with_suffix(".sqlite")

@@ -110,7 +110,7 @@ def _rank(item: Ranked) -> tuple[Any, ...]:
     return (item.failed, -worth, item.robot, item.layout, item.method)
 
 
-def report_html(path: Path) -> str:
+def study_html(path: Path) -> str:
     """The page of the table in file `path`.
 
     Raises:

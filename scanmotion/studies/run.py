@@ -13,7 +13,7 @@ from typing import Any
 from scanmotion import __version__
 from scanmotion.core.errors import ScanMotionError
 from scanmotion.studies import table
-from scanmotion.studies.case import FIGURES, Row
+from scanmotion.studies.case import FIGURES, CaseRow
 from scanmotion.studies.cluster import KILLS, client_of, memory_resource, run_on_worker, send_parts
 from scanmotion.studies.settings import Case, Study, study_from, study_from_yaml
 
@@ -94,7 +94,7 @@ def _run(made: Study, todo: list[Case], options: StudyOptions, connection: Any, 
                 tell(f"{done} of {total} cases", done / total)
 
 
-def _batches(client: Any, cases: list[Case], keep_in: Path | None) -> Iterator[list[tuple[Case, Row]]]:
+def _batches(client: Any, cases: list[Case], keep_in: Path | None) -> Iterator[list[tuple[Case, CaseRow]]]:
     """Cases with their rows, a batch at a time, in the order in which they are done."""
     from distributed import as_completed
 
@@ -113,7 +113,7 @@ def _batches(client: Any, cases: list[Case], keep_in: Path | None) -> Iterator[l
         yield [(by_key[future.key], _row(by_key[future.key], future, result)) for future, result in batch]
 
 
-def _row(case: Case, future: Any, result: Any) -> Row:
+def _row(case: Case, future: Any, result: Any) -> CaseRow:
     """The row of a finished case, or of one that killed its workers.
 
     Raises:
@@ -132,8 +132,8 @@ def _row(case: Case, future: Any, result: Any) -> Row:
     return _empty(case, "fault", f"{type(error).__name__}: {error}"[:500])
 
 
-def _empty(case: Case, status: str, reason: str) -> Row:
-    return Row(
+def _empty(case: Case, status: str, reason: str) -> CaseRow:
+    return CaseRow(
         id=case.id,
         status=status,
         reason=reason,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from scanmotion.core.errors import InputError
-from scanmotion.studies.case import FIGURES, Row
+from scanmotion.studies.case import FIGURES, CaseRow
 from scanmotion.studies.settings import Case
 
 _TEXT = ("id", "status", "reason", "kind", "robot", "layout", "part", "method", "settings", "options")
@@ -56,7 +56,7 @@ def finished(connection: sqlite3.Connection) -> set[str]:
     return {row[0] for row in connection.execute("SELECT id FROM cases")}
 
 
-def add(connection: sqlite3.Connection, rows: Iterable[tuple[Case, Row]]) -> None:
+def add(connection: sqlite3.Connection, rows: Iterable[tuple[Case, CaseRow]]) -> None:
     """Writes rows in one transaction; a case that has a row already keeps it."""
     marks = ", ".join("?" * len(_COLUMNS))
     with connection:
@@ -66,7 +66,7 @@ def add(connection: sqlite3.Connection, rows: Iterable[tuple[Case, Row]]) -> Non
         )
 
 
-def _values(case: Case, row: Row) -> tuple[Any, ...]:
+def _values(case: Case, row: CaseRow) -> tuple[Any, ...]:
     settings = json.dumps(case.settings, sort_keys=True)
     options = json.dumps(case.options, sort_keys=True)
     text = (row.id, row.status, row.reason, case.kind, case.robot, case.layout, case.part, case.method)

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from scanmotion.cell.collision.shapes import inside
+from scanmotion.cell.collision.shapes import inside_shape
 from scanmotion.cell.collision.sphere_filter import (
     _box,
     _box_frame,
@@ -32,7 +32,7 @@ def sure_points(cell: Cell, spheres: tuple) -> np.ndarray:
             if body.link != link or link > TOOL:
                 continue
             p = (points[rows, :3] - body.X_LG[:3, 3]) @ body.X_LG[:3, :3]
-            sure[rows] |= inside(body, p)
+            sure[rows] |= inside_shape(body, p)
     return sure
 
 

@@ -54,7 +54,7 @@ def beyond(body: Body, p: np.ndarray) -> np.ndarray:
     return (p @ normals.T - np.einsum("ni,ni->n", normals, a[keep])).max(axis=1)
 
 
-def inside(body: Body, p: np.ndarray) -> np.ndarray:
+def inside_shape(body: Body, p: np.ndarray) -> np.ndarray:
     """Whether points (n, 3) of the body's own frame lie in it, shape (n,)."""
     if body.shape == "box":
         return np.all(np.abs(p) <= np.array(body.size) / 2, axis=1)

@@ -75,9 +75,9 @@ def assess(
     if artefact is not None:
         check_known("--artefact", artefact, ("sphere", "ball-bar", "plane"))
     check_assessment_folder(out)
-    from scanmotion.sensing.metrology.deviations import Limits
+    from scanmotion.sensing.metrology.deviations import DeviationLimits
 
-    limits = Limits(
+    limits = DeviationLimits(
         cover_distance=distance * 1e-3, cover_angle=angle / 57.29577951308232,
         cut=float("inf") if cut is None else cut * 1e-3,
     )  # fmt: skip

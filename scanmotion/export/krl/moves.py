@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scanmotion.core.errors import InputError
-from scanmotion.export.job import DRY_PERCENT, Job
+from scanmotion.export.job import DRY_PERCENT, ExportJob
 from scanmotion.export.knots import polyline_knots, spline_knots, way_back_knots
 from scanmotion.export.pose import abc_from_rotation
 from scanmotion.export.source import Stretch
@@ -35,7 +35,7 @@ _MOST = 1e5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Block:
+class KrlBlock:
     """Lines of one operation and how true they are to the plan."""
 
     lines: tuple[str, ...]
@@ -75,7 +75,7 @@ def still(stretch: Stretch) -> bool:
     return bool(np.ptp(np.rad2deg(stretch.q), axis=0).max() < 1e-5)
 
 
-def classic_block(stretch: Stretch, job: Job) -> Block:
+def classic_block(stretch: Stretch, job: ExportJob) -> KrlBlock:
     """PTP along the planned joint path; LIN for a sweep; WAIT for a dwell."""
     if still(stretch):
         return _wait(stretch, job)
@@ -102,7 +102,7 @@ def classic_block(stretch: Stretch, job: Job) -> Block:
             lines.append(f"TRIGGER WHEN DISTANCE=1 DELAY=0 DO {job.name}_AT={i}")
         lines.append(f"PTP {axes(points[i])}{suffix}")
     lines.append(f"{job.name}_SPD (100)")
-    return Block(lines=tuple(lines), back=_back(stretch, points, job), away=away, cut=rounded)
+    return KrlBlock(lines=tuple(lines), back=_back(stretch, points, job), away=away, cut=rounded)
 
 
 def rounding(points: np.ndarray) -> int:
@@ -119,7 +119,7 @@ def cut_of(points: np.ndarray, share: int) -> float:
     return float(np.abs(points[0] - 2 * points[1] + points[2]).max()) / 8 * share / 100
 
 
-def ptp_percents(stretch: Stretch, knots: np.ndarray, job: Job) -> list[int]:
+def ptp_percents(stretch: Stretch, knots: np.ndarray, job: ExportJob) -> list[int]:
     """Speed of each PTP: neither a joint nor the scanner is faster than the plan between the same points."""
     p_BS = (job.arm.X_BF(stretch.q) @ job.X_FS)[:, :3, 3]
     planned = np.linalg.norm(np.gradient(p_BS, stretch.t, axis=0), axis=1)
@@ -138,7 +138,7 @@ def ptp_percents(stretch: Stretch, knots: np.ndarray, job: Job) -> list[int]:
     return found
 
 
-def timed_block(stretch: Stretch, job: Job) -> Block:
+def timed_block(stretch: Stretch, job: ExportJob) -> KrlBlock:
     """A spline whose points carry the planned instants as shares of the block's time."""
     if still(stretch):
         return _wait(stretch, job)
@@ -162,10 +162,10 @@ def timed_block(stretch: Stretch, job: Job) -> Block:
     seconds = stretch.duration * (100 / DRY_PERCENT if job.dry_run else 1)
     lines += [f" TIME_BLOCK END = {number(seconds, 4)}", "ENDSPLINE"]
     back = _back_along(stretch, passed, job) if whole else _back(stretch, q[knots], job)
-    return Block(lines=tuple(lines), back=back, away=away)
+    return KrlBlock(lines=tuple(lines), back=back, away=away)
 
 
-def _back_along(stretch: Stretch, knots: np.ndarray, job: Job) -> tuple[str, ...]:
+def _back_along(stretch: Stretch, knots: np.ndarray, job: ExportJob) -> tuple[str, ...]:
     """The way back along a continuous motion, through the counted points, no faster than it was driven."""
     q, percents, lines = np.rad2deg(stretch.q[knots]), ptp_percents(stretch, knots, job), []
     for n in range(len(knots) - 2, -1, -1):
@@ -174,12 +174,12 @@ def _back_along(stretch: Stretch, knots: np.ndarray, job: Job) -> tuple[str, ...
     return (*lines, f"{job.name}_SPD (100)")
 
 
-def _wait(stretch: Stretch, job: Job) -> Block:
+def _wait(stretch: Stretch, job: ExportJob) -> KrlBlock:
     """A standstill."""
-    return Block(lines=(f"WAIT SEC {number(stretch.duration, 4)}",))
+    return KrlBlock(lines=(f"WAIT SEC {number(stretch.duration, 4)}",))
 
 
-def _back(stretch: Stretch, points: np.ndarray, job: Job) -> tuple[str, ...]:
+def _back(stretch: Stretch, points: np.ndarray, job: ExportJob) -> tuple[str, ...]:
     """The way back to where an operation starts, along what was driven.
 
     A turn of the table and a straight line of the scanner have one way back; a helix goes back through the
@@ -199,7 +199,7 @@ def _back(stretch: Stretch, points: np.ndarray, job: Job) -> tuple[str, ...]:
     return (*lines, f"PTP {axes(points[0])}")
 
 
-def _sweep(stretch: Stretch, job: Job) -> Block:
+def _sweep(stretch: Stretch, job: ExportJob) -> KrlBlock:
     """LIN of the scanner's frame in the robot's base at the sweep's own speed."""
     X_BS = job.arm.X_BF(stretch.q) @ job.X_FS
     p, e1 = X_BS[:, :3, 3], np.rad2deg(stretch.q[:, 6])
@@ -221,5 +221,5 @@ def _sweep(stretch: Stretch, job: Job) -> Block:
         suffix = "" if i == knots[-1] else " C_DIS"
         lines.append(f"LIN {frame(X_BS[i], float(e1[i]))}{suffix}")
     lines.append(f"{job.name}_CP (FALSE)")
-    block = Block(lines=tuple(lines))
+    block = KrlBlock(lines=tuple(lines))
     return replace(block, back=_back(stretch, np.rad2deg(stretch.q[[0, -1]]), job))

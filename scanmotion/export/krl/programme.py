@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from scanmotion.core.errors import InputError
-from scanmotion.export.job import Files, Job
-from scanmotion.export.krl.moves import Block, axes, classic_block, frame, number, timed_block
+from scanmotion.export.job import ExportJob, Files
+from scanmotion.export.krl.moves import KrlBlock, axes, classic_block, frame, number, timed_block
 from scanmotion.export.krl.names import krl_name, remark
 from scanmotion.export.krl.text import DAT, FINISH, HEAD, INI, LEVEL, ROUTINES, filled
 from scanmotion.export.source import Stretch
@@ -26,7 +26,7 @@ KUKA_AXES = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [
 class Manner:
     """One of the two ways to write a programme."""
 
-    block: Callable[[Stretch, Job], Block]
+    block: Callable[[Stretch, ExportJob], KrlBlock]
     says: tuple[str, ...]
     """Remarks for the programme's head; {away} and {cut} are filled in [deg]."""
 
@@ -62,17 +62,17 @@ class Step:
     """Of the step, where a way back belongs to it; 0 where none does."""
 
 
-def classic_files(job: Job) -> Files:
+def classic_files(job: ExportJob) -> Files:
     """PTP and LIN with $VEL.CP; E6AXIS with E1."""
     return _files(job, CLASSIC)
 
 
-def timed_files(job: Job) -> Files:
+def timed_files(job: ExportJob) -> Files:
     """PTP_SPLINE of SPTP with a TIME_BLOCK for each operation."""
     return _files(job, TIMED)
 
 
-def _files(job: Job, manner: Manner) -> Files:
+def _files(job: ExportJob, manner: Manner) -> Files:
     krl_name(job.name)
     record = job.source.record
     if manner is CLASSIC and any(o.kind == "path" for o in record.operations):
@@ -102,7 +102,7 @@ def _files(job: Job, manner: Manner) -> Files:
     return {file: text.replace("\n", "\r\n").encode("ascii") for file, text in files.items()}
 
 
-def _signals(job: Job) -> frozenset[str]:
+def _signals(job: ExportJob) -> frozenset[str]:
     s, has = job.signals, {"range"}
     if job.source.record.limits.position_min_rad[6] is None:
         has.discard("range")
@@ -115,7 +115,7 @@ def _signals(job: Job) -> frozenset[str]:
     return frozenset(has)
 
 
-def _facts(job: Job) -> dict[str, str]:
+def _facts(job: ExportJob) -> dict[str, str]:
     """What the templates of the text have in braces."""
     s, q = job.signals, np.rad2deg(job.source.trajectory.q)
     frames = sum(
@@ -139,7 +139,7 @@ def _facts(job: Job) -> dict[str, str]:
     }  # fmt: skip
 
 
-def _remarks(job: Job) -> list[str]:
+def _remarks(job: ExportJob) -> list[str]:
     record, s, q = job.source.record, job.signals, np.rad2deg(job.source.trajectory.q[:, 6])
     told = [
         "WARNING: no controller has run this programme. Try it in the maker's simulator first,",
@@ -164,7 +164,7 @@ def _remarks(job: Job) -> list[str]:
     return told
 
 
-def _step(n: int, stretch: Stretch, block: Block, job: Job) -> Step:
+def _step(n: int, stretch: Stretch, block: KrlBlock, job: ExportJob) -> Step:
     o, name = stretch.operation, job.name
     title = f"{n} {o.kind} {' '.join(o.viewpoints[:3])}".strip() + (" .." if len(o.viewpoints) > 3 else "")
     state = "scanner on" if o.scanning else "scanner off"
@@ -182,7 +182,7 @@ def _step(n: int, stretch: Stretch, block: Block, job: Job) -> Step:
     return Step(fold=(*top, *again, end), routines=(*routine, *back), number=n if back else 0)
 
 
-def _interrupt(steps: list[Step], job: Job) -> tuple[str, ...]:
+def _interrupt(steps: list[Step], job: ExportJob) -> tuple[str, ...]:
     """What a fault of the scanner sets off: stop, message, the way back, and again."""
     if job.dry_run or not job.signals.fault_in:
         return ()
@@ -201,7 +201,7 @@ def _interrupt(steps: list[Step], job: Job) -> tuple[str, ...]:
 
 
 def _programme(
-    job: Job, head: str, steps: list[Step], facts: dict[str, str], has: frozenset[str]
+    job: ExportJob, head: str, steps: list[Step], facts: dict[str, str], has: frozenset[str]
 ) -> dict[str, str]:
     """The main file and, where it would become too long, pages that it calls."""
 

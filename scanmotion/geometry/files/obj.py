@@ -10,13 +10,13 @@ import numpy as np
 from scanmotion.core.errors import PartError
 from scanmotion.geometry.files.raw import NO_TRIANGLES, Polygons, RawGeometry, triangulated, whole_numbers
 from scanmotion.geometry.files.text import (
-    blocks,
     lines_of,
     numbers,
     plain_text,
     stated_unit,
-    table_of,
+    text_blocks,
     text_step,
+    text_table,
 )
 
 _FREE_FORM = (b"curv", b"curv2", b"surf", b"cstype", b"parm")
@@ -34,7 +34,7 @@ def read_obj(data: bytes) -> RawGeometry:
         text = text.replace(b"\\\n", b" ")
     kept: dict[bytes, list[bytes]] = {b"v": [], b"f": [], b"vn": []}
     before, n_vertices, strange, comments = [], 0, {}, []
-    for block in blocks(text):
+    for block in text_blocks(text):
         found = _lines(block)
         kinds = found["kinds"]
         is_v, is_f = kinds == b"v", kinds == b"f"
@@ -62,7 +62,7 @@ def read_obj(data: bytes) -> RawGeometry:
     unit = stated_unit(b"".join(comments))
     normals, columns = None, ()
     if not len(triangles):
-        table = table_of(b"".join(kept[b"vn"]), 3)
+        table = text_table(b"".join(kept[b"vn"]), 3)
         if len(table) == len(points):
             normals, columns = table, ("normals: vn",)
     return RawGeometry(
@@ -111,7 +111,7 @@ def _points(text: bytes) -> tuple[np.ndarray, list[str]]:
         text = text.replace(b",", b".")
         notes.append("decimal commas were read as points")
     text = re.sub(rb"#[^\n]*", b"", text) if b"#" in text else text
-    points = table_of(text, 3)
+    points = text_table(text, 3)
     return points, notes
 
 
@@ -122,7 +122,7 @@ def _faces(text: bytes, before: np.ndarray) -> Polygons:
     if b"/" in text:
         text = re.sub(rb"/[-/\d]*", b"", text)
     counts = lines_of(text).words
-    flat = np.concatenate([numbers(block) for block in blocks(text)]) if text.strip() else np.zeros(0)
+    flat = np.concatenate([numbers(block) for block in text_blocks(text)]) if text.strip() else np.zeros(0)
     if len(counts) != len(before):
         counts = np.append(counts, np.zeros(len(before) - len(counts), np.int64))
     corners = whole_numbers(flat)
@@ -160,7 +160,7 @@ def read_off(data: bytes) -> RawGeometry:
         raise PartError(f"OFF file is cut short: {n} vertices and {m} faces on {len(full) - 1} lines")
     edges = np.append(lines.start[full], len(text))
     body = text[edges[1] : edges[1 + n]]
-    rows = table_of(body, 6 if normal else 3)
+    rows = text_table(body, 6 if normal else 3)
     faces = text[edges[1 + n] : edges[1 + n + m]]
     flat, words = numbers(faces), lines_of(faces).words
     words = words[words > 0]

@@ -7,7 +7,7 @@ import numpy as np
 
 from scanmotion.core.errors import PartError
 from scanmotion.geometry.files.raw import NO_TRIANGLES, RawGeometry, float_step
-from scanmotion.geometry.files.text import plain_text, table_of, text_step
+from scanmotion.geometry.files.text import plain_text, text_step, text_table
 
 _LETTERS = {"F": "f", "U": "u", "I": "i"}
 _MOST_PACKED = 300
@@ -142,9 +142,9 @@ def _unpacked(data: bytes, at: int, size: int) -> bytes:
         raise PartError(f"PCD file: its points need {size} bytes, its packed data claim {full}")
     if full > packed * _MOST_PACKED:
         raise PartError(f"PCD file: {packed} packed bytes cannot hold {full}")
-    from scanmotion.geometry.files.walk import unpacked
+    from scanmotion.geometry.files.walk import unpacked_entry
 
-    raw, made = unpacked(np.frombuffer(data, np.uint8, packed, at + 8), full)
+    raw, made = unpacked_entry(np.frombuffer(data, np.uint8, packed, at + 8), full)
     if made != full:
         raise PartError("PCD file: its packed data are broken")
     return raw.tobytes()
@@ -154,7 +154,7 @@ def _ascii(data: bytes, layout: list, repeats: list[int], count: int) -> dict[st
     text = plain_text(data)
     # Each number of the row takes a word; rows may be fewer than claimed only in broken files.
     width = sum(repeats)
-    rows = table_of(text, width)
+    rows = text_table(text, width)
     if len(rows) < count:
         raise PartError(f"PCD file is cut short: {count} points are claimed, {len(rows)} are there")
     columns: dict[str, np.ndarray] = {}

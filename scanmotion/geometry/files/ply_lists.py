@@ -45,30 +45,30 @@ class Element:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Table:
+class PlyTable:
     """What was read of an element: columns by name, and the lists of corners."""
 
     columns: dict[str, np.ndarray]
     faces: Polygons | None = None
 
 
-def lists_of(data: bytes, element: Element, at: int, order: str) -> tuple[Table, int]:
+def lists_of(data: bytes, element: Element, at: int, order: str) -> tuple[PlyTable, int]:
     """The corners that an element lists, and where the next element begins.
 
     Raises:
         PartError: the file ends inside a list.
     """
     if element.count == 0:
-        return Table(columns={}, faces=None), at
+        return PlyTable(columns={}, faces=None), at
     same = _equal_rows(data, element, at, order)
     if same is not None:
         table, end = same
         if element.index_list is None:
-            return Table(columns={}), end
+            return PlyTable(columns={}), end
         corners = table[f"list{element.index_list}"].reshape(element.count, -1)
         corners = whole_numbers(corners)
         counts = np.full(element.count, corners.shape[1])
-        return Table(columns={}, faces=Polygons(corners=corners.ravel(), counts=counts)), end
+        return PlyTable(columns={}, faces=Polygons(corners=corners.ravel(), counts=counts)), end
     return _walked(data, element, at, order)
 
 
@@ -98,7 +98,7 @@ def _equal_rows(data: bytes, element: Element, at: int, order: str) -> tuple[np.
     return table, at + dtype.itemsize * element.count
 
 
-def _walked(data: bytes, element: Element, at: int, order: str) -> tuple[Table, int]:
+def _walked(data: bytes, element: Element, at: int, order: str) -> tuple[PlyTable, int]:
     from scanmotion.geometry.files.walk import walk_rows
 
     raw = np.frombuffer(data, np.uint8)
@@ -110,10 +110,10 @@ def _walked(data: bytes, element: Element, at: int, order: str) -> tuple[Table, 
     if end < 0:
         raise PartError("PLY file is cut short inside its faces")
     if which < 0:
-        return Table(columns={}), end
+        return PlyTable(columns={}), end
     size = item[which]
     first = np.cumsum(counts) - counts
     where = np.repeat(start - first * size, counts) + size * np.arange(int(counts.sum()))
     octets = raw[where[:, None] + np.arange(size)]
     values = np.ascontiguousarray(octets).view(order + element.properties[which].kind)
-    return Table(columns={}, faces=Polygons(corners=whole_numbers(values.ravel()), counts=counts)), end
+    return PlyTable(columns={}, faces=Polygons(corners=whole_numbers(values.ravel()), counts=counts)), end

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scanmotion.core.errors import PartError
-from scanmotion.geometry.files.ply_lists import FACE_NAMES, Element, Property, Table, lists_of
+from scanmotion.geometry.files.ply_lists import FACE_NAMES, Element, PlyTable, Property, lists_of
 from scanmotion.geometry.files.raw import (
     NO_TRIANGLES,
     Polygons,
@@ -18,7 +18,7 @@ from scanmotion.geometry.files.raw import (
     triangulated,
     whole_numbers,
 )
-from scanmotion.geometry.files.text import lines_of, numbers, plain_text, stated_unit, table_of, text_step
+from scanmotion.geometry.files.text import lines_of, numbers, plain_text, stated_unit, text_step, text_table
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -110,7 +110,7 @@ def _element(name: str, count: int, rows: list[list[str]], size: int) -> Element
     return Element(name=name, count=count, properties=tuple(properties))
 
 
-def _geometry(header: Header, tables: dict[str, Table], data: bytes) -> RawGeometry:
+def _geometry(header: Header, tables: dict[str, PlyTable], data: bytes) -> RawGeometry:
     names = {e.name: e for e in header.elements}
     vertex = next((tables[n] for n in _VERTEX if n in tables), None)
     if vertex is None or not all(axis in vertex.columns for axis in "xyz"):
@@ -148,7 +148,7 @@ def _geometry(header: Header, tables: dict[str, Table], data: bytes) -> RawGeome
     )  # fmt: skip
 
 
-def _normals(vertex: Table) -> tuple[np.ndarray | None, tuple[str, ...]]:
+def _normals(vertex: PlyTable) -> tuple[np.ndarray | None, tuple[str, ...]]:
     said, normals = [], None
     for names in (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z")):
         if all(n in vertex.columns for n in names):
@@ -178,7 +178,7 @@ def _unstripped(strips: Polygons) -> Polygons:
     return Polygons(corners=rows.ravel(), counts=np.full(len(rows), 3))
 
 
-def _binary(data: bytes, header: Header) -> dict[str, Table]:
+def _binary(data: bytes, header: Header) -> dict[str, PlyTable]:
     at, order, tables = header.start, "<" if "little" in header.kind else ">", {}
     for element in header.elements:
         if at + element.least_size * element.count > len(data):
@@ -189,11 +189,11 @@ def _binary(data: bytes, header: Header) -> dict[str, Table]:
         dtype = np.dtype([(p.name, order + p.kind) for p in element.properties])
         table = np.frombuffer(data, dtype, element.count, at)
         at += dtype.itemsize * element.count
-        tables[element.name] = Table(columns={p.name: table[p.name] for p in element.properties})
+        tables[element.name] = PlyTable(columns={p.name: table[p.name] for p in element.properties})
     return tables
 
 
-def _ascii(data: bytes, header: Header) -> dict[str, Table]:
+def _ascii(data: bytes, header: Header) -> dict[str, PlyTable]:
     text = plain_text(data[header.start :])
     lines = lines_of(text)
     full = np.flatnonzero(lines.words > 0)
@@ -208,16 +208,16 @@ def _ascii(data: bytes, header: Header) -> dict[str, Table]:
     return tables
 
 
-def _ascii_table(block: bytes, element: Element) -> Table:
+def _ascii_table(block: bytes, element: Element) -> PlyTable:
     if not element.has_lists:
         try:
-            rows = table_of(block, len(element.properties))
+            rows = text_table(block, len(element.properties))
         except PartError as error:
             raise PartError(f"PLY {element.name} elements: {error}") from None
         rows = rows.reshape(element.count, len(element.properties))
-        return Table(columns={p.name: rows[:, i] for i, p in enumerate(element.properties)})
+        return PlyTable(columns={p.name: rows[:, i] for i, p in enumerate(element.properties)})
     if element.index_list is None:
-        return Table(columns={})
+        return PlyTable(columns={})
     flat = numbers(block)
     words = lines_of(block).words
     words = words[words > 0]
@@ -233,9 +233,9 @@ def _ascii_table(block: bytes, element: Element) -> Table:
         if (counts < 0).any() or (at + 1 + counts > end).any():
             raise PartError("PLY file is cut short inside its faces")
         if i == element.index_list:
-            return Table(columns={}, faces=Polygons(corners=_runs(flat, at + 1, counts), counts=counts))
+            return PlyTable(columns={}, faces=Polygons(corners=_runs(flat, at + 1, counts), counts=counts))
         at = at + 1 + counts
-    return Table(columns={})
+    return PlyTable(columns={})
 
 
 def _runs(flat: np.ndarray, start: np.ndarray, counts: np.ndarray) -> np.ndarray:

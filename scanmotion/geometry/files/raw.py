@@ -42,7 +42,7 @@ BEYOND = 1e15
 def are_numbers(points: np.ndarray) -> np.ndarray:
     """Which points (n, 3) are finite and of a size that can have been measured, shape (n,)."""
     with np.errstate(invalid="ignore"):
-        return (np.abs(points) < BEYOND).all(axis=1)
+        return np.asarray((np.abs(points) < BEYOND).all(axis=1))
 
 
 def float_step(points: np.ndarray) -> float:

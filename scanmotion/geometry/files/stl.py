@@ -6,7 +6,7 @@ import numpy as np
 
 from scanmotion.core.errors import PartError
 from scanmotion.geometry.files.raw import RawGeometry, checked_triangles, float_step
-from scanmotion.geometry.files.text import blocks, numbers, plain_text, text_step
+from scanmotion.geometry.files.text import numbers, plain_text, text_blocks, text_step
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _NUMBER = rb"(?:[-+.\d]\S*|nan\S*|inf\S*)"
@@ -82,7 +82,7 @@ def _ascii(data: bytes) -> tuple[np.ndarray, tuple[str, ...], float]:
     text = plain_text(data)
     rows, notes = [], []
     comma = re.search(rb"vertex\s+-?\d+,\d+(?:[eE][-+]?\d+)?\s+-?\d+,\d", text[:65536], re.IGNORECASE)
-    for block in blocks(text):
+    for block in text_blocks(text):
         found = b"\n".join(_VERTEX.findall(block))
         rows.append(numbers(found.replace(b",", b".") if comma else found))
     flat = np.concatenate(rows) if rows else np.zeros(0)

@@ -43,7 +43,7 @@ def stated_unit(comments: bytes) -> str:
     return ""
 
 
-def blocks(text: bytes, size: int = _BLOCK) -> list[bytes]:
+def text_blocks(text: bytes, size: int = _BLOCK) -> list[bytes]:
     """The text in pieces of about `size` bytes that end where lines end."""
     out, at = [], 0
     while at < len(text):
@@ -61,7 +61,7 @@ def numbers(text: bytes) -> np.ndarray:
     Raises:
         ValueError: with the word that is no number.
     """
-    parts = [_numbers(block) for block in blocks(text)]
+    parts = [_numbers(block) for block in text_blocks(text)]
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
@@ -131,7 +131,7 @@ def lines_of(text: bytes) -> Lines:
     return Lines(start=start, words=np.diff(edge))
 
 
-def table_of(text: bytes, width: int | None = None) -> np.ndarray:
+def text_table(text: bytes, width: int | None = None) -> np.ndarray:
     """Rows of numbers, shape (n, w): the first `width` numbers of each line, or all where lines are equal.
 
     Raises:
@@ -139,7 +139,7 @@ def table_of(text: bytes, width: int | None = None) -> np.ndarray:
         ValueError: a word that is no number.
     """
     parts = []
-    for block in blocks(text):
+    for block in text_blocks(text):
         words = lines_of(block).words
         words = words[words > 0]
         if not len(words):

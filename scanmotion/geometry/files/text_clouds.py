@@ -15,8 +15,8 @@ from scanmotion.geometry.files.text import (
     numbers,
     plain_text,
     stated_unit,
-    table_of,
     text_step,
+    text_table,
 )
 
 _COMMENTS = (b"#", b"//", b"%", b"!", b"'", b"*", b"--")
@@ -231,16 +231,16 @@ def _lines_kept(text: bytes, lines: Lines, rows: np.ndarray) -> bytes:
 
 def _numeric(text: bytes, width: int, notes: list[str]) -> np.ndarray:
     try:
-        return table_of(text, width)
+        return text_table(text, width)
     except ValueError:
         first = text.split(b"\n", 1)[0].split()
     keep = [i for i, w in enumerate(first) if _NUMERAL.fullmatch(w)]
     if len(keep) == len(first) or keep[:3] not in ([0, 1, 2], [1, 2, 3]):
-        return table_of(text, width)
+        return text_table(text, width)
     wordy = ", ".join(str(i + 1) for i in range(len(first)) if i not in keep)
     notes.append(f"columns that hold words were left aside: {wordy}")
     split = (line.split() for line in text.split(b"\n"))
-    return table_of(b"\n".join(b" ".join(w[i] for i in keep if i < len(w)) for w in split if w), None)
+    return text_table(b"\n".join(b" ".join(w[i] for i in keep if i < len(w)) for w in split if w), None)
 
 
 def _names(head: list[bytes], width: int) -> tuple[tuple[str, ...], str]:
@@ -282,7 +282,7 @@ def read_ptx(data: bytes) -> RawGeometry:
         n = int(head[0][0]) * int(head[1][0])
         if at + 10 + n > len(full):
             raise PartError(f"PTX file is cut short: scan {len(pieces) + 1} claims {n} points")
-        rows = table_of(text[edges[at + 10] : edges[at + 10 + n]], 3)
+        rows = text_table(text[edges[at + 10] : edges[at + 10 + n]], 3)
         seen = (rows != 0).any(axis=1) & np.isfinite(rows).all(axis=1)
         empty += int((~seen).sum())
         X = np.array(head[6:10])

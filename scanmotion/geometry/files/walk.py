@@ -47,7 +47,7 @@ def walk_rows(raw, at, rows, length, item, signed, big, which):
 
 
 @njit(cache=True)
-def unpacked(raw, size):
+def unpacked_entry(raw, size):
     """LZF (Lehmann 2000, as in PCL) undone into `size` bytes; None is never read past either end.
 
     Returns:

@@ -91,7 +91,7 @@ def mended_cloud(
     Raises:
         PartError: too few points are left.
     """
-    made = thinned(measured_points(points, normals, path))
+    made = thinned_cloud(measured_points(points, normals, path))
     spacing = spacing_of_points(made.points)
     size = float(np.linalg.norm(np.ptp(made.points, axis=0)))
     if len(made.points) > 100 and spacing > 0:
@@ -120,7 +120,7 @@ def _without_floor(made: MendedCloud, up: np.ndarray) -> MendedCloud:
     )
 
 
-def thinned(made: MendedCloud, most: int = MAX_POINTS) -> MendedCloud:
+def thinned_cloud(made: MendedCloud, most: int = MAX_POINTS) -> MendedCloud:
     """At most about `most` points: the first in each cell of an even grid."""
     n = len(made.points)
     if n <= most:

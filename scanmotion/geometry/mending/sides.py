@@ -158,12 +158,12 @@ def _depths(
             asked = used[inner][
                 np.linspace(0, len(used[inner]) - 1, min(_ASKED, len(used[inner]))).astype(int)
             ]
-            if inside(vertices[asked], vertices[faces[outer]]).all():
+            if inside_surface(vertices[asked], vertices[faces[outer]]).all():
                 depth[inner] += 1
     return depth
 
 
-def inside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def inside_surface(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Whether points (n, 3) lie inside a closed surface of triangles (m, 3, 3): a slanted ray's crossings."""
     u = np.array([0.8017, 0.2673, 0.5345])
     e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

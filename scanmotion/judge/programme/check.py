@@ -15,7 +15,7 @@ from scanmotion.core.finding import Finding
 from scanmotion.judge.contact import check_clearance
 from scanmotion.judge.limits import check_speed
 from scanmotion.judge.motion import motion_at
-from scanmotion.judge.programme.compare import Deviation, deviations
+from scanmotion.judge.programme.compare import Deviation, path_deviations
 from scanmotion.judge.programme.controller import (
     Controller,
     controller_from,
@@ -24,7 +24,7 @@ from scanmotion.judge.programme.controller import (
 )
 from scanmotion.judge.programme.motions import pose_of
 from scanmotion.judge.programme.world import Run, ScriptedScanner
-from scanmotion.judge.views import check_viewpoints
+from scanmotion.judge.views import judge_viewpoints
 
 SPEED_MORE, GAIN_MORE = 1.03, 1.25
 MOVING = ("transit", "sweep", "helix", "path")
@@ -70,7 +70,7 @@ def verify_programme(
     controller = controller_from(file, folder)
     scanner = ScriptedScanner(signals=controller.signals, patience=10_000 if controller.dry else 0)
     run, system = controller.run(scanner)
-    found, findings = deviations(controller, run)
+    found, findings = path_deviations(controller, run)
     if not run.ended:
         text = (run.said("say") or run.said("halt"))[-1].text if run.said("halt") else "the programme stops"
         findings.insert(0, Finding(code="order", message=f"it does not come to its end: {text}"))
@@ -170,6 +170,8 @@ def _tool(controller: Controller, system: dict[Any, Any]) -> list[Finding]:
     tool = system.get(("TOOL_DATA", s.tool_number, ""))
     load = system.get(("LOAD_DATA", s.tool_number, ""))
     base = system.get(("BASE_DATA", s.base_number, ""))
+    if tool is None or load is None:
+        return [Finding(code="limits", message="tool, base or load are not set", where="tool")]
     try:
         if np.abs(pose_of(tool) - np.array(controller.record.X_FS)).max() > 1e-5:
             findings.append(
@@ -228,7 +230,7 @@ def _motion(
     )
     loose = record.model_copy(update={"process": more})
     kept = [f for f in check_speed(loose, driven, motion) if f.where in MOVING]
-    findings += kept + check_viewpoints(record, driven, motion)
+    findings += kept + judge_viewpoints(record, driven, motion)
     if clearance and not findings:
         away = max((d.away_mm for d in found), default=0.0) * 1e-3
         if away > process.clearance_m / 2:
@@ -311,7 +313,7 @@ def _faults(controller: Controller) -> list[Finding]:
     if not run.ended or scanner.recordings != 2 * len(scans) or len(run.said("brake")) != len(scans):
         text = "a fault of the scanner does not lead to a stop, a message, the way back and a new try"
         findings.append(Finding(code="order", message=text, where="handshake"))
-    found, more = deviations(controller, run)
+    found, more = path_deviations(controller, run)
     # The steps take longer and go farther, by the way back; their place is what counts.
     findings += [f for f in more if " deg longer " not in f.message and f.code != "time"]
     if len(found) != len(planned):

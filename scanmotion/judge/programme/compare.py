@@ -46,7 +46,7 @@ class Deviation:
     """How far the step ends from where the operation ends."""
 
 
-def deviations(controller: Controller, run: Run) -> tuple[list[Deviation], list[Finding]]:
+def path_deviations(controller: Controller, run: Run) -> tuple[list[Deviation], list[Finding]]:
     """Each step against the plan, and what is farther off than it may be."""
     found, findings = [], []
     planned = controller.planned

@@ -91,7 +91,7 @@ def _bodies(s: Statement) -> list[tuple[Statement, ...]]:
     return [s.body] if isinstance(s, Loop | For) else []
 
 
-def lines_of(path: Path) -> list[str]:
+def krl_lines(path: Path) -> list[str]:
     """The lines of a programme's file.
 
     Raises:
@@ -114,7 +114,7 @@ def _data(path: Path, main: str) -> tuple[dict[str, Any], dict[str, int]]:
     found: dict[str, Any] = {}
     sizes: dict[str, int] = {}
     begun, ended = False, False
-    for n, raw in enumerate(lines_of(path), 1):
+    for n, raw in enumerate(krl_lines(path), 1):
         line, where = raw.strip(), f"{path.name}:{n}"
         if not line or line.startswith((";", "&")) or line.startswith("EXT BAS"):
             continue
@@ -170,7 +170,7 @@ class _Source:
         self.lines: list[tuple[str, str]] = []
         self.remarks: list[str] = []
         fold: list[str] = []
-        for n, raw in enumerate(lines_of(path), 1):
+        for n, raw in enumerate(krl_lines(path), 1):
             line, where = raw.strip(), f"{path.name}:{n}"
             if line.startswith(";FOLD "):
                 fold.append(where)

@@ -163,7 +163,7 @@ class Machine(Mover):
             return self._timer(int(index or 0)) > 0
         if word == "$AXIS_ACT":
             self._flush()
-            return dict(zip(AXES, self.q, strict=True))[name.field]
+            return self.q[AXES.index(name.field)]
         if word == "$AXIS_INT":
             return dict(zip(AXES, self.q, strict=True))
         key = (word, index, name.field)

@@ -10,7 +10,7 @@ from typing import Any
 from scanmotion.core.errors import PlanFileError
 from scanmotion.judge.programme import statements as st
 from scanmotion.judge.programme.expressions import Name, Parser, value_of
-from scanmotion.judge.programme.krl import lines_of
+from scanmotion.judge.programme.krl import krl_lines
 
 _NAME = r"[A-Za-z]\w*"
 _FIXED: dict[str, type[st.Statement]] = {
@@ -34,7 +34,7 @@ class _Module:
         self.lines: list[tuple[str, str]] = []
         self.remarks: list[str] = []
         self.traps: dict[str, str] = {}
-        for n, raw in enumerate(lines_of(path), 1):
+        for n, raw in enumerate(krl_lines(path), 1):
             line, where = raw.strip(), f"{path.name}:{n}"
             if line.startswith("!"):
                 self.remarks.append(line[1:].strip())

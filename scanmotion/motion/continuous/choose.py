@@ -191,7 +191,7 @@ def _side_by_side(points: np.ndarray, normals: np.ndarray, which: np.ndarray) ->
     return which[np.lexsort((cell[:, 0], cell[:, 1], cell[:, 2], side))]
 
 
-def renamed(found: Continuous, names: tuple[str, ...]) -> Continuous:
+def numbered_views(found: Continuous, names: tuple[str, ...]) -> Continuous:
     """The same with other ids of its viewpoints."""
     return replace(
         found, stop=replace(found.stop, viewpoints=names), motion=replace(found.motion, viewpoints=names)

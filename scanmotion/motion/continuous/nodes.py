@@ -11,7 +11,7 @@ from scanmotion.cell.kinematics import branches, scanner_poses
 from scanmotion.cell.robot import inverse_poses
 from scanmotion.geometry.revolved import swept_part
 from scanmotion.motion.continuous.search import Nodes
-from scanmotion.motion.transit_cost import Placed, move_matrix, move_model, placed
+from scanmotion.motion.transit_cost import PlacedNodes, move_matrix, move_model, placed_nodes
 
 SINGULAR = 0.02
 """Configurations whose least singular value is below this are no nodes: next to them joints race."""
@@ -57,8 +57,8 @@ def nodes_from(
     solved = branches(cell, X_WS[hopeful])
     q = np.column_stack([solved.q, np.full(len(solved.q), start_q[6])])
     owner, pose = owner[hopeful[solved.pose_index]], hopeful[solved.pose_index]
-    start = placed(model, start_q[None])
-    alike = (placed(model, q).branch == start.branch[0]) & (solved.manipulability > SINGULAR)
+    start = placed_nodes(model, start_q[None])
+    alike = (placed_nodes(model, q).branch == start.branch[0]) & (solved.manipulability > SINGULAR)
     q, owner, pose = q[alike], owner[alike], pose[alike]
     seconds = move_matrix(model, start_q[None], q)[0]
     order = np.lexsort((seconds, owner))
@@ -68,10 +68,10 @@ def nodes_from(
         _, once = np.unique(pose[free], return_index=True)
         chosen += [int(r) for r in free[np.sort(once)][:kept]]
     arm = np.vstack([start_q[None], q[chosen]])
-    return _tied(cell, arm, placed(model, arm), near)
+    return _tied(cell, arm, placed_nodes(model, arm), near)
 
 
-def _tied(cell: Cell, q: np.ndarray, at: Placed, near: int) -> Nodes:
+def _tied(cell: Cell, q: np.ndarray, at: PlacedNodes, near: int) -> Nodes:
     """Nodes at the configurations q (n, 7) with the times between them."""
     seconds = move_matrix(move_model(cell), at, at)
     for k in (3, 5):

@@ -17,16 +17,16 @@ from scanmotion.motion.order.paper_order import paper_order
 from scanmotion.motion.order.stops import (
     Group,
     PathFree,
-    Reach,
+    ReachLike,
     dwell_group,
     natural,
     revolution_group,
     stage_of,
-    thinned,
+    thinned_stops,
 )
 from scanmotion.motion.order.sweeps import straight_runs, sweep_group
 from scanmotion.motion.order.tsp import TourOptions, tour_from_cost
-from scanmotion.motion.transit_cost import MoveModel, joined, move_matrix, move_model, stop_seconds
+from scanmotion.motion.transit_cost import MoveModel, joined_nodes, move_matrix, move_model, stop_seconds
 
 if TYPE_CHECKING:
     from scanmotion.cell.build import Cell
@@ -77,7 +77,7 @@ class Ordered:
 
 def sequence(
     cell: Cell,
-    reaches: Sequence[Reach],
+    reaches: Sequence[ReachLike],
     *,
     start_q: np.ndarray,
     mode: Literal["default", "paper", "given"] | str = "default",
@@ -162,7 +162,7 @@ def _stop(group: Group, way: int) -> Stop:
 def _groups(
     cell: Cell,
     model: MoveModel,
-    reaches: Sequence[Reach],
+    reaches: Sequence[ReachLike],
     start_q: np.ndarray,
     path_free: PathFree | None,
     options: SequenceOptions,
@@ -175,7 +175,7 @@ def _groups(
     )
     groups: list[Group] = []
     unplaced: list[tuple[str, str]] = []
-    sweeps: dict[str, list[Reach]] = {}
+    sweeps: dict[str, list[ReachLike]] = {}
     for reach in reaches:
         viewpoint = reach.viewpoint
         if reach.unreachable is not None or len(reach.q) == 0:
@@ -231,7 +231,7 @@ def _one_start(
     best = Ordered(groups=groups, order=list(range(len(groups))), ways=[], cost=np.inf)
     width = 1
     for _ in range(int(np.clip(600 // len(groups), min(3, options.rounds), options.rounds))):
-        few = [thinned(g, model, width * per_stop, *b) for g, b in zip(groups, between, strict=True)]
+        few = [thinned_stops(g, model, width * per_stop, *b) for g, b in zip(groups, between, strict=True)]
         found = _searched(model, few, start_q, np.array(best.order), rng, options)
         if found.cost < best.cost - 1e-3:
             best = found
@@ -269,7 +269,7 @@ def _searched(
     """Genetic algorithm over the order and the ways of `groups`."""
     first = np.cumsum([0] + [len(g) for g in groups])
     served = np.concatenate([g.seconds for g in groups])
-    enter, leave = joined([g.enter for g in groups]), joined([g.leave for g in groups])
+    enter, leave = joined_nodes([g.enter for g in groups]), joined_nodes([g.leave for g in groups])
     C = move_matrix(model, leave, enter) + (served[:, None] + served[None]) / 2
     head = move_matrix(model, start_q, enter)[0] + served / 2
     partner = np.concatenate([g.partner + n for g, n in zip(groups, first[:-1], strict=True)])

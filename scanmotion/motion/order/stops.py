@@ -12,10 +12,16 @@ import numpy as np
 from scanmotion.core.tour import StopKind
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.motion.order.generalised_tsp import cheapest_apart, most_different
-from scanmotion.motion.transit_cost import MoveModel, Placed, move_matrix, placed, revolution_seconds
+from scanmotion.motion.transit_cost import (
+    MoveModel,
+    PlacedNodes,
+    move_matrix,
+    placed_nodes,
+    revolution_seconds,
+)
 
 
-class Reach(Protocol):
+class ReachLike(Protocol):
     """What the order needs to know of a viewpoint's reach (motion/reach.py makes it)."""
 
     @property
@@ -60,9 +66,9 @@ class Group:
     kind: StopKind
     stage: int
     """0 for the global step, 1 for the local one."""
-    enter: Placed
+    enter: PlacedNodes
     """Configurations on arrival, k of them."""
-    leave: Placed
+    leave: PlacedNodes
     """Configurations on leaving."""
     seconds: np.ndarray
     """Time that each way takes, shape (k,) [s]."""
@@ -101,12 +107,12 @@ def windings(angle: float, low: float, high: float) -> np.ndarray:
     return np.clip(angle + TURN * np.arange(first, last + 1), low, high)
 
 
-def dwell_group(reach: Reach, model: MoveModel, e1_range: tuple[float, float]) -> Group:
+def dwell_group(reach: ReachLike, model: MoveModel, e1_range: tuple[float, float]) -> Group:
     """A station: every configuration with every winding of the table."""
     rows = []
     for q in np.asarray(reach.q):
         rows += [np.append(q[:6], e) for e in windings(q[6], *e1_range)]
-    q = placed(model, np.array(rows).reshape(-1, 7))
+    q = placed_nodes(model, np.array(rows).reshape(-1, 7))
     return Group(
         viewpoints=(reach.viewpoint.id,),
         kind="dwell",
@@ -118,12 +124,12 @@ def dwell_group(reach: Reach, model: MoveModel, e1_range: tuple[float, float]) -
     )
 
 
-def stage_of(reach: Reach) -> int:
+def stage_of(reach: ReachLike) -> int:
     return 0 if reach.viewpoint.step == "global" else 1
 
 
 def revolution_group(
-    reach: Reach, model: MoveModel, e1_range: tuple[float, float], table: Sequence[float]
+    reach: ReachLike, model: MoveModel, e1_range: tuple[float, float], table: Sequence[float]
 ) -> Group:
     """A whole turn of the table from any of the `table` angles, either way round, with the arm still.
 
@@ -131,7 +137,7 @@ def revolution_group(
     stands when it begins.
     """
     arms = np.unique(np.round(np.asarray(reach.q)[:, :6], 9), axis=0)
-    arms = arms[spread(model, np.column_stack([arms, np.zeros(len(arms))]), _REVOLUTION_ARMS)]
+    arms = arms[spread_windings(model, np.column_stack([arms, np.zeros(len(arms))]), _REVOLUTION_ARMS)]
     starts = np.unique(np.round(np.concatenate([windings(e, *e1_range) for e in table]), 9))
     low, high = e1_range
     turns = [(e, e + TURN) for e in starts if e + TURN <= high + 1e-9]
@@ -145,7 +151,7 @@ def revolution_group(
     return _group_of_pairs(reach, model, q_in, q_out)
 
 
-def _group_of_pairs(reach: Reach, model: MoveModel, q_in: np.ndarray, q_out: np.ndarray) -> Group:
+def _group_of_pairs(reach: ReachLike, model: MoveModel, q_in: np.ndarray, q_out: np.ndarray) -> Group:
     """Ways that come in blocks of two halves, the second the first backwards."""
     k = len(q_in)
     where = {q.tobytes() + p.tobytes(): n for n, (q, p) in enumerate(zip(q_in, q_out, strict=True))}
@@ -154,14 +160,14 @@ def _group_of_pairs(reach: Reach, model: MoveModel, q_in: np.ndarray, q_out: np.
         viewpoints=(reach.viewpoint.id,),
         kind="revolution",
         stage=stage_of(reach),
-        enter=placed(model, q_in),
-        leave=placed(model, q_out),
+        enter=placed_nodes(model, q_in),
+        leave=placed_nodes(model, q_out),
         seconds=np.full(k, revolution_seconds(model)),
         partner=np.array(partner, dtype=int),
     )
 
 
-def thinned(
+def thinned_stops(
     group: Group, model: MoveModel, most: int, before: np.ndarray | None, after: np.ndarray | None
 ) -> Group:
     """At most about `most` ways: those that cost least between two configurations, then the most different.
@@ -213,10 +219,10 @@ def _both(group: Group, way: int) -> tuple[int, ...]:
     return tuple(dict.fromkeys((way, int(group.partner[way]))))
 
 
-def spread(model: MoveModel, q: np.ndarray, most: int) -> np.ndarray:
+def spread_windings(model: MoveModel, q: np.ndarray, most: int) -> np.ndarray:
     """Indices of at most `most` configurations of (k, 7), the first and then the most different."""
-    return most_different(_features(model, placed(model, q)), np.zeros(1, dtype=np.int64), most)
+    return most_different(_features(model, placed_nodes(model, q)), np.zeros(1, dtype=np.int64), most)
 
 
-def _features(model: MoveModel, x: Placed) -> np.ndarray:
+def _features(model: MoveModel, x: PlacedNodes) -> np.ndarray:
     return np.hstack([x.p / model.transit_speed, x.q / model.v])

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from scanmotion.motion.order.stops import Group, PathFree, Reach, spread, stage_of, windings
-from scanmotion.motion.transit_cost import MoveModel, path_seconds, placed
+from scanmotion.motion.order.stops import Group, PathFree, ReachLike, spread_windings, stage_of, windings
+from scanmotion.motion.transit_cost import MoveModel, path_seconds, placed_nodes
 
 if TYPE_CHECKING:
     from scanmotion.cell.build import Cell
@@ -23,9 +23,9 @@ FLIP_RAD = 0.35
 """A greater step of an axis between neighbouring poses is a flip of configuration [rad]."""
 
 
-def straight_runs(members: Sequence[Reach]) -> list[list[Reach]]:
+def straight_runs(members: Sequence[ReachLike]) -> list[list[ReachLike]]:
     """Cut the viewpoints of a sweep, in their order, into runs on straight lines, passed one way."""
-    runs: list[list[Reach]] = []
+    runs: list[list[ReachLike]] = []
     for reach in members:
         if runs and _continues(runs[-1], reach):
             runs[-1].append(reach)
@@ -34,7 +34,7 @@ def straight_runs(members: Sequence[Reach]) -> list[list[Reach]]:
     return runs
 
 
-def _continues(run: list[Reach], reach: Reach) -> bool:
+def _continues(run: list[ReachLike], reach: ReachLike) -> bool:
     if len(run) == 1:
         return float(np.linalg.norm(reach.viewpoint.p_OS - run[0].viewpoint.p_OS)) > STRAIGHT_M
     p = np.array([r.viewpoint.p_OS for r in [*run, reach]])
@@ -47,7 +47,7 @@ def _continues(run: list[Reach], reach: Reach) -> bool:
 def sweep_group(
     cell: Cell,
     model: MoveModel,
-    run: Sequence[Reach],
+    run: Sequence[ReachLike],
     e1_range: tuple[float, float],
     path_free: PathFree | None,
     most: int,
@@ -82,8 +82,8 @@ def sweep_group(
         viewpoints=tuple(r.viewpoint.id for r in run),
         kind="sweep",
         stage=stage_of(run[0]),
-        enter=placed(model, np.array([w[0] for w in ways])),
-        leave=placed(model, np.array([w[-1] for w in ways])),
+        enter=placed_nodes(model, np.array([w[0] for w in ways])),
+        leave=placed_nodes(model, np.array([w[-1] for w in ways])),
         seconds=np.array([path_seconds(model, w) for w in ways]),
         partner=n ^ 1,
         backward=n % 2 == 1,
@@ -91,13 +91,13 @@ def sweep_group(
     )
 
 
-def _paths(cell: Cell, model: MoveModel, run: Sequence[Reach], most: int) -> list[np.ndarray]:
+def _paths(cell: Cell, model: MoveModel, run: Sequence[ReachLike], most: int) -> list[np.ndarray]:
     """Joint paths without flips from the most different configurations of the first viewpoint."""
     from scanmotion.cell.kinematics import branches, object_poses
 
     first = run[0]
     q = np.asarray(first.q, dtype=float)
-    chosen = spread(model, q, most)
+    chosen = spread_windings(model, q, most)
     line = line_poses([r.viewpoint.X_OS for r in run])
     offsets = np.linalg.inv(first.viewpoint.X_OS) @ np.asarray(first.X_OS)[chosen]
     X_WO = np.asarray(object_poses(cell, q[chosen]))

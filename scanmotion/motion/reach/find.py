@@ -12,8 +12,8 @@ from scanmotion.cell.kinematics import branches, scanner_in_object, scanner_pose
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.motion.reach.diagnosis import Remedies, Unreachable, cause_of
 from scanmotion.motion.reach.ik_candidates import (
-    Candidates,
-    candidates,
+    IkCandidates,
+    ik_candidates,
     presented,
     table_angles,
     turns_about_z,
@@ -170,7 +170,9 @@ class _Block:
     def _wave(self, todo: list[int], first: int, last: int) -> None:
         views = [self.viewpoints[n] for n in todo]
         angles = [self.angles[n][first:last] for n in todo]
-        found = candidates(self.cell, views, angles, self.options.rolls, hopeless=self.clearance.tool_blocked)
+        found = ik_candidates(
+            self.cell, views, angles, self.options.rolls, hopeless=self.clearance.tool_blocked
+        )
         free = self.clearance.first_free(found.q, found.starts, found.geometry, self.options.most)
         for i, n in enumerate(todo):
             rows = found.of(i)
@@ -183,7 +185,7 @@ class _Block:
                 _, once = np.unique(found.geometry[rows], return_index=True)
                 self.tried[n].append(q[np.sort(once)])
 
-    def _whole_turn(self, found: Candidates, rows: slice) -> np.ndarray:
+    def _whole_turn(self, found: IkCandidates, rows: slice) -> np.ndarray:
         """Which rows stay free while the table turns once, until enough of them do."""
         q = found.q[rows]
         ok = self.clearance.fast_free(q)
@@ -212,7 +214,7 @@ class _Block:
         for angles in (self.angles[n][:3], self.angles[n]):
             if len(tried) == 0:
                 # The tool itself is in the way everywhere, or the arm does not go there.
-                found = candidates(self.cell, [viewpoint], [angles], self.options.rolls)
+                found = ik_candidates(self.cell, [viewpoint], [angles], self.options.rolls)
                 tried = np.column_stack([found.q, found.sigma])
         X_WS, table = presented(self.cell, viewpoint, self.angles[n], self.options.rolls)
         cause = cause_of(self.cell, viewpoint, self.clearance, X_WS, table, tried[:, :7])

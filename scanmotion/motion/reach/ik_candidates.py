@@ -16,7 +16,7 @@ SINGULAR = 0.02
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Candidates:
+class IkCandidates:
     """Configurations inside the limits, those of one viewpoint after those of another, each best first."""
 
     starts: np.ndarray
@@ -33,14 +33,14 @@ class Candidates:
         return slice(int(self.starts[n]), int(self.starts[n + 1]))
 
 
-def candidates(
+def ik_candidates(
     cell: Cell,
     viewpoints: Sequence[Viewpoint],
     angles: Sequence[np.ndarray],
     rolls: int,
     *,
     hopeless: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
-) -> Candidates:
+) -> IkCandidates:
     """All branches and windings of each viewpoint at its table angles [rad] and rolls.
 
     Args:
@@ -60,7 +60,7 @@ def candidates(
         X_WS, table, owner = X_WS[some], table[some], owner[some]
     if len(X_WS) == 0:
         starts, none = np.zeros(len(poses) + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
-        return Candidates(starts=starts, q=np.zeros((0, 7)), sigma=np.zeros(0), geometry=none)
+        return IkCandidates(starts=starts, q=np.zeros((0, 7)), sigma=np.zeros(0), geometry=none)
     solved = branches(cell, X_WS)
     owner, e1 = owner[solved.pose_index], table[solved.pose_index]
     low = cell.q_min[6]
@@ -72,7 +72,7 @@ def candidates(
     q, owner, sigma, geometry = q[inside], owner[inside], solved.manipulability[inside], geometry[inside]
     order = _preferred(cell, turns[owner], owner, q, sigma)
     counts = np.bincount(owner, minlength=len(poses))
-    return Candidates(
+    return IkCandidates(
         starts=np.concatenate([[0], np.cumsum(counts)]), q=q[order], sigma=sigma[order],
         geometry=geometry[order],
     )  # fmt: skip

@@ -10,7 +10,7 @@ from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.kinematics import scanner_in_object
 from scanmotion.cell.robot import clean_angle
 from scanmotion.motion.reach.find import Reach, ReachOptions
-from scanmotion.motion.reach.ik_candidates import candidates
+from scanmotion.motion.reach.ik_candidates import ik_candidates
 
 
 def with_table_still(cell: Cell, clearance: Clearance, reaches: Sequence[Reach], angle: float) -> list[Reach]:
@@ -26,7 +26,7 @@ def with_table_still(cell: Cell, clearance: Clearance, reaches: Sequence[Reach],
     views = [reaches[n].viewpoint for n in stations]
     options = ReachOptions()
     at = np.array([clean_angle(np.array(angle))])
-    found = candidates(cell, views, [at] * len(views), options.rolls, hopeless=clearance.tool_blocked)
+    found = ik_candidates(cell, views, [at] * len(views), options.rolls, hopeless=clearance.tool_blocked)
     free = clearance.first_free(found.q, found.starts, found.geometry, options.most)
     still = list(reaches)
     for i, n in enumerate(stations):

@@ -32,7 +32,7 @@ _LINE_M = 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Motion:
+class TimedMotion:
     """One operation before it is placed in time."""
 
     kind: OperationKind
@@ -89,7 +89,9 @@ def time_plan(
     return trajectory
 
 
-def motions(cell: Cell, tour: Tour, paths: Sequence[Path]) -> Iterable[Motion | HelixMotion | PathMotion]:
+def motions(
+    cell: Cell, tour: Tour, paths: Sequence[Path]
+) -> Iterable[TimedMotion | HelixMotion | PathMotion]:
     """The operations of a tour in order, each with path and law; transits that do not move are left out."""
     if len(paths) != len(tour.stops):
         raise TimingError(f"{len(tour.stops)} stops need as many paths, not {len(paths)}")
@@ -104,23 +106,23 @@ def motions(cell: Cell, tour: Tour, paths: Sequence[Path]) -> Iterable[Motion | 
         at = np.asarray(stop.q_out, dtype=float)
 
 
-def transit_motion(cell: Cell, q: np.ndarray, viewpoints: tuple[str, ...] = ()) -> Motion:
+def transit_motion(cell: Cell, q: np.ndarray, viewpoints: tuple[str, ...] = ()) -> TimedMotion:
     """A transit along the polyline `q` (k, 7), as fast as the limits and the transit speed allow."""
     path, law = emitted_law(cell, q)
     _check_range(cell, path, viewpoints)
-    return Motion(
+    return TimedMotion(
         kind="transit", viewpoints=viewpoints, path=path, law=law, duration=law.duration, floor=law.floor
     )
 
 
-def _stop_motion(cell: Cell, stop: Stop) -> Motion | HelixMotion | PathMotion:
+def _stop_motion(cell: Cell, stop: Stop) -> TimedMotion | HelixMotion | PathMotion:
     if stop.kind == "helix":
         return helix_motion(cell, stop)
     if stop.kind == "path":
         return path_motion(cell, stop)
     if stop.kind == "dwell":
         dwell_s = float(cell.settings.process.dwell_s)
-        return Motion(
+        return TimedMotion(
             kind="dwell",
             viewpoints=stop.viewpoints,
             path=spline_beside(np.tile(stop.q_in, (2, 1))),
@@ -164,7 +166,7 @@ def _sweep_spline(cell: Cell, stop: Stop) -> JointSpline:
     return path
 
 
-def _driven(cell: Cell, stop: Stop, path: JointSpline, speed: float) -> Motion:
+def _driven(cell: Cell, stop: Stop, path: JointSpline, speed: float) -> TimedMotion:
     """One path parameter, driven by Ruckig with the least of what the limits allow along the path.
 
     Args:
@@ -186,7 +188,7 @@ def _driven(cell: Cell, stop: Stop, path: JointSpline, speed: float) -> Motion:
         j = float(((limits.j - q3 * speed**3 - 3 * q2 * speed * max(a, 0.0)) / np.maximum(q1, 1e-9)).min())
         if a > 0.0 and j > 0.0:
             law = ruckig_law(path.end, speed, (1 - MARGIN) * a, (1 - MARGIN) * j)
-            return Motion(
+            return TimedMotion(
                 kind=stop.kind,
                 viewpoints=stop.viewpoints,
                 path=path,
@@ -222,7 +224,7 @@ def _check_range(cell: Cell, path: JointSpline, viewpoints: tuple[str, ...]) -> 
 
 
 def _sampled(
-    placed: Sequence[Motion | HelixMotion | PathMotion], start_q: np.ndarray, sample_s: float
+    placed: Sequence[TimedMotion | HelixMotion | PathMotion], start_q: np.ndarray, sample_s: float
 ) -> Trajectory:
     """The operations one after another, each ending on a whole 10 ms, sampled evenly."""
     if not placed:

@@ -56,7 +56,7 @@ def parameter_grid(path: JointSpline, *, spacing: float = 1.0) -> np.ndarray:
     return np.concatenate([[0.0], finer, even[1:-1], path.end - finer[::-1], [path.end]])
 
 
-def floor_seconds(d: Derivatives, limits: Limits) -> float:
+def profile_floor(d: Derivatives, limits: Limits) -> float:
     """Duration of the fastest law without a jerk limit [s]."""
     cap = speed_caps(d, d.tcp(d.s), limits)
     return profile_seconds(d.s, fastest_profile(d, cap, np.tile(limits.a, (len(d.s), 1))))

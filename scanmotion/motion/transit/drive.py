@@ -7,7 +7,7 @@ from numba import njit
 
 from scanmotion.cell.build import Cell
 from scanmotion.motion.timing.jerk_limited import TimeLaw, fastest_law, law_with
-from scanmotion.motion.timing.speed_profile import Derivatives, Limits, floor_seconds, parameter_grid
+from scanmotion.motion.timing.speed_profile import Derivatives, Limits, parameter_grid, profile_floor
 from scanmotion.motion.timing.spline import JointSpline, spline_beside, subdivided
 from scanmotion.motion.transit_cost import MoveModel, move_model, scanner_positions
 
@@ -83,7 +83,7 @@ def derivatives_on(cell: Cell, path: JointSpline, *, spacing: float = 1.0) -> De
 
 def floor_along(cell: Cell, q: np.ndarray) -> float:
     """About how long a transit along the polyline `q` (k, 7) takes where nothing limits the jerk [s]."""
-    return floor_seconds(derivatives_on(cell, transit_spline(cell, q), spacing=3.0), transit_limits(cell))
+    return profile_floor(derivatives_on(cell, transit_spline(cell, q), spacing=3.0), transit_limits(cell))
 
 
 def transit_law(cell: Cell, q: np.ndarray, *, tcp: float | None = None) -> tuple[JointSpline, TimeLaw]:

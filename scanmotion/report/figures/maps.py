@@ -3,7 +3,7 @@
 import io
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,6 +16,7 @@ from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.geometry.parts import surface_samples
 from scanmotion.planning.plan import Plan
 from scanmotion.report.figures import palette
+from scanmotion.report.figures.labels import add_labels
 from scanmotion.report.figures.surface import (
     View,
     in_sight,
@@ -64,21 +65,20 @@ def new_figure(width: float, height: float) -> "Figure":
     return _figure_class()(figsize=(width, height), layout="constrained", dpi=140)
 
 
-def coverage_figure(plan: Plan) -> "Figure":
-    """Six sides of the part after the global step (upper row) and at the end (lower row).
+def coverage_figure(plan: Plan, *, after: Literal["global", "final"] = "final") -> "Figure":
+    """Six sides of the part in two rows, after the global step or at the end.
 
     The numbers are those of the largest patches that stay unscanned, as the report lists them.
     """
     assert plan.samples is not None
-    views = _views(plan.part)
+    views = _views(plan.part, pixels=640)
     figure, axes = _gallery(views, 2)
-    for row, after, title in ((0, "global", "after the global step"), (1, "final", "at the end")):
-        status = status_of_samples(plan, after=after)
-        for ax, view, (side, *_) in zip(axes[row], views, SIDES, strict=True):
-            _image(ax, status_image(plan.part, view, plan.samples, status))
-            ax.set_title(f"{title}:\n{side}" if ax is axes[row, 0] else side, fontsize=8, loc="left")
-            if after == "final":
-                _patches(ax, plan, view)
+    status = status_of_samples(plan, after=after)
+    for ax, view, (side, *_) in zip(axes.ravel(), views, SIDES, strict=True):
+        _image(ax, status_image(plan.part, view, plan.samples, status))
+        ax.set_title(side, fontsize=9, loc="left")
+        if after == "final":
+            _patches(ax, plan, view)
     _legend(figure, list(zip(palette.STATUS_NAMES, palette.STATUS_COLOURS, strict=True)))
     return figure
 
@@ -91,12 +91,9 @@ def _patches(ax: "Axes", plan: Plan, view: View) -> None:
     centres = np.array([p.center for p in patches])
     column, row, _ = view.pixels(centres)
     # A patch in a deep hollow is drawn on the side from which the hollow opens.
-    for n in np.flatnonzero(in_sight(picture_of(plan.part, view), centres, tolerance=0.015)):
-        ax.plot(column[n], row[n], "o", ms=6, mfc="none", mec="#c8102e", mew=0.8)
-        ax.annotate(
-            str(n + 1), (column[n], row[n]), fontsize=6, color="#c8102e", textcoords="offset points",
-            xytext=(4, 3),
-        )  # fmt: skip
+    shown = np.flatnonzero(in_sight(picture_of(plan.part, view), centres, tolerance=0.015))
+    ax.plot(column[shown], row[shown], "o", ms=6, mfc="none", mec="#c8102e", mew=0.8)
+    add_labels(ax, np.column_stack([column, row])[shown], [str(n + 1) for n in shown], "#c8102e", size=8)
 
 
 def _views(part: Part, pixels: int = 420) -> list[View]:
@@ -110,11 +107,14 @@ def _views(part: Part, pixels: int = 420) -> list[View]:
 
 
 def _gallery(views: list[View], rows: int) -> tuple["Figure", np.ndarray]:
-    """A figure with `rows` rows of axes, shape (rows, len(views)), in which all views have one scale."""
-    widths, width = [view.shape[1] for view in views], 11.5
-    height = max(view.shape[0] for view in views) / sum(widths) * width + 0.3
-    figure = new_figure(width, rows * min(height, 4.0) + 0.4)
-    return figure, figure.subplots(rows, len(views), squeeze=False, width_ratios=widths)
+    """A figure with the views in `rows` rows of axes, in one scale."""
+    sizes = np.array([view.shape for view in views]).reshape(rows, -1, 2)
+    heights, widths, width = sizes[..., 0].max(axis=1), sizes[..., 1].max(axis=0), 11.5
+    scale = min(width / widths.sum(), 4.5 / heights.max())
+    figure = new_figure(width, float(heights.sum()) * scale + 0.3 * rows + 0.4)
+    return figure, figure.subplots(
+        rows, sizes.shape[1], squeeze=False, width_ratios=widths, height_ratios=heights
+    )
 
 
 def hole_figure(part: Part, report: HoleReport) -> "Figure":
@@ -168,7 +168,11 @@ def reach_map(
         ):
             ax.plot(x, y, marker="o" if view.kind == "revolution" else "s", ms=4, color=colour)
             ax.plot([x, x + 0.25 * dx], [y, y + 0.25 * dy], color=colour, lw=0.8)
-            ax.annotate(view.id, (x, y), fontsize=6, textcoords="offset points", xytext=(3, 3))
+    for ax, places in (
+        (above, [v.p_OS[:2] for v in views]),
+        (beside, [(np.hypot(*v.p_OS[:2]), v.p_OS[2]) for v in views]),
+    ):
+        add_labels(ax, np.array(places).reshape(-1, 2), [v.id for v in views], "#222222", size=7)
     _silhouette(above, beside, part, table_radius)
     used = sorted(set(causes.values()), key=list(palette.CAUSE_COLOURS).index)
     _legend(figure, [(name.replace("_", " "), palette.CAUSE_COLOURS[name]) for name in used])
@@ -177,7 +181,7 @@ def reach_map(
 
 def causes_of(plan: Plan) -> dict[str, str]:
     """For each viewpoint "served" or the cause for which it was left out."""
-    lost = dict(plan.unreachable)
+    lost = dict(plan.left_out)
     causes = {}
     for view in plan.viewpoints:
         reason = lost.get(view.id)

@@ -138,7 +138,7 @@ def _decimated(vertices: np.ndarray, triangles: np.ndarray, most: int) -> Mesh:
     return np.asarray(small.vertices), np.asarray(small.triangles)
 
 
-def vertex_normals(mesh: Mesh) -> np.ndarray:
+def shading_normals(mesh: Mesh) -> np.ndarray:
     """Unit normals of a mesh's vertices, area-weighted, shape (n, 3); zero where a vertex has no area."""
     vertices, triangles = mesh
     a, b, c = (vertices[triangles[:, i]] for i in range(3))

@@ -77,7 +77,7 @@ class Deviations:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class DeviationLimits:
     """What counts, in m and rad."""
 
     cover_distance: float = 0.003
@@ -112,7 +112,7 @@ def deviations(
     normals: np.ndarray,
     part: Part,
     *,
-    limits: Limits | None = None,
+    limits: DeviationLimits | None = None,
     boxes: Mapping[str, np.ndarray] | None = None,
 ) -> Deviations:
     """Compares a measured cloud with a reference mesh.
@@ -128,7 +128,7 @@ def deviations(
     Raises:
         InputError: no point is left, or the part is a cloud.
     """
-    limits = limits or Limits()
+    limits = limits or DeviationLimits()
     d = signed_distances(points, part)
     keep = np.abs(d) <= limits.cut
     if not keep.any():
