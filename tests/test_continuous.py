@@ -1,25 +1,33 @@
 """One continuous motion: sight by directions, the table's travel, limits, the search, a judged plan."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from test_plan import TINY, pitted
 
 from scanmotion.cell.settings import load_cell
 from scanmotion.core.errors import InputError
+from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import look_at
 from scanmotion.export import export_plan
 from scanmotion.geometry.parts import box_part, surface_samples
 from scanmotion.geometry.revolved import swept_part
 from scanmotion.judge import verify
+from scanmotion.judge.programme.check import verify_programme
+from scanmotion.judge.views import _around
 from scanmotion.motion.continuous.options import ContinuousOptions
 from scanmotion.motion.continuous.table_travel import MOST_PIECES, angle_at, pieces_of
 from scanmotion.motion.timing.path import turns_in
 from scanmotion.plan_io.read import read_json
 from scanmotion.plan_io.save import judged
+from scanmotion.planning.continuous import better_motion
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.planning.replan import replan
+from scanmotion.planning.state import PlanState
 from scanmotion.sensing.sight import grid_cell_of, masks_of, octahedral, sight_from, unpacked
 from scanmotion.sensing.visibility import revolution_poses, scene_from, sees
 
@@ -141,10 +149,103 @@ def saved(moving, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("to", ["krl", "krl-timed"])
-def test_krl_refuses_what_it_cannot_hold(to, saved, tmp_path):
-    with pytest.raises(InputError, match="not written as KRL"):
-        export_plan(saved, to, out=tmp_path)
+def test_classic_krl_names_what_holds_the_times(saved, tmp_path):
+    with pytest.raises(InputError, match="krl-timed"):
+        export_plan(saved, "krl", out=tmp_path)
+
+
+@pytest.fixture(scope="module")
+def timed(saved, tmp_path_factory):
+    """The motion as a timed programme."""
+    return export_plan(saved, "krl-timed", out=tmp_path_factory.mktemp("krl"))
+
+
+def main_of(files):
+    return next(f for f in files if f.name == "scan.src")
+
+
+def test_a_timed_programme_drives_the_motion_and_every_viewpoint_of_it(timed, saved):
+    report = verify_programme(main_of(timed), saved)
+    # Faults of the scanner in the middle of the motion, and its way back, are among what is tried.
+    assert report.findings == ()
+    path = report.deviations[0]
+    assert path.kind == "path" and max(path.away_deg, path.missed_deg) < 0.02
+    assert path.seconds == pytest.approx(path.planned_s, rel=0.005)
+
+
+def test_a_way_back_that_leaves_the_motion_is_found(timed, saved, tmp_path):
+    for file in timed:
+        text, changed = file.read_bytes().decode(), ""
+        for line in text.split("\r\n"):
+            on_the_way_back = line.startswith("PTP {A1 ") and "_AT>=" in changed[-60:]
+            changed += (line.replace("PTP {A1 ", "PTP {A1 1") if on_the_way_back else line) + "\r\n"
+        (tmp_path / file.name).write_bytes(changed[:-2].encode())
+    before = {f.name: f.read_bytes() for f in timed}
+    assert any((tmp_path / name).read_bytes() != data for name, data in before.items())
+    assert verify_programme(tmp_path / "scan.src", saved, clearance=False).findings
+
+
+def test_a_path_between_two_samples_is_turned_as_a_rotation():
+    X = np.tile(np.eye(4), (3, 1, 1))
+    for k in range(3):
+        X[k, :3, :3] = Rotation.from_rotvec([0.0, 0.0, 0.02 * k]).as_matrix()
+        X[k, 0, 3] = 0.003 * k
+    between = _around(X, 1)
+    assert np.allclose(between[:, :3, :3] @ np.swapaxes(between[:, :3, :3], 1, 2), np.eye(3), atol=1e-12)
+    angle = Rotation.from_matrix(between[:, :3, :3]).as_rotvec()[:, 2]
+    assert np.allclose(angle, 0.02 / 0.003 * between[:, 0, 3], atol=1e-9)
+
+
+def asked_of(**options):
+    return cast(Any, SimpleNamespace(options=PlanOptions(motion="auto", **options), budget_s=60.0))
+
+
+def programme_state(seconds, seen, motion=None):
+    """A state whose twin has seen some of 1000 samples."""
+    t = np.array([0.0, seconds])
+    trajectory = Trajectory(
+        t=t, q=np.zeros((2, 7)), qd=np.zeros((2, 7)), qdd=np.zeros((2, 7)),
+        operation=np.zeros(2, dtype=int), operations=(),
+    )  # fmt: skip
+    return PlanState(
+        seen=np.arange(1000) < seen, evidence=cast(Any, None), trajectory=trajectory, motion=motion,
+        visible=np.ones(1000, bool),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("moving", "still", "options", "kept"),
+    [
+        ((28.0, 990), (43.0, 990), {}, "continuous"),
+        ((28.0, 989), (43.0, 990), {}, "stops"),
+        ((43.0, 999), (43.0, 990), {}, "stops"),
+        ((28.0, 985), (43.0, 990), {"completeness": 0.98}, "continuous"),
+        ((28.0, 970), (43.0, 990), {"completeness": 0.98}, "stops"),
+        ((59.0, 995), (43.0, 990), {"fill": True}, "continuous"),
+        ((59.0, 990), (43.0, 990), {"fill": True}, "stops"),
+        ((70.0, 999), (43.0, 990), {"fill": True}, "stops"),
+    ],
+)
+def test_auto_keeps_the_one_that_sees_no_less_in_fewer_seconds(moving, still, options, kept):
+    found = better_motion(
+        asked_of(**options), programme_state(*moving, motion={"kind": "continuous"}), programme_state(*still)
+    )
+    assert found.duration == (moving if kept == "continuous" else still)[0]
+    assert found.motion is not None and found.motion["kind"] == kept
+    assert str(found.motion["note"]).startswith(f"{kept} (") and "rather than" in str(found.motion["note"])
+
+
+@pytest.mark.parametrize("motion", ["continuous", "auto"])
+def test_where_no_motion_can_be_driven_stops_are_planned_and_the_plan_says_so(motion, tmp_path):
+    # Behind the table the arm reaches nothing.
+    nowhere = replace(FEW, azimuths_deg=(180.0,))
+    options = PlanOptions(seed=5, motion=motion, search=nowhere, **TINY)
+    made = plan(box_part(0.2, 0.15, 0.2), load_cell("kr240"), options=options)
+    assert made.trajectory is not None
+    assert "path" not in {o.kind for o in made.trajectory.operations}
+    made.save(tmp_path / "plan")
+    told = cast(dict, read_json(tmp_path / "plan", "summary.json"))["motion"]
+    assert told["kind"] == "stops" and "no continuous motion can be driven" in told["note"]
 
 
 def test_csv_carries_the_motion_as_it_is(saved, moving, tmp_path):

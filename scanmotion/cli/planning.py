@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 AGAIN = "Planning again"
 TWIN = "The scan twin"
 FEW = 3
-MOTIONS = ("stops", "continuous")
+MOTIONS = ("stops", "continuous", "auto")
 STRATEGIES = ("two-step", "cad-slicing", "surface-partitioning")
 
 
@@ -80,14 +80,16 @@ def plan(
         typer.Option(
             "--motion",
             help="stops: turns and stops, each from rest to rest. continuous: arm and table move at once, "
-            "the scanner always on, chosen on the part's mesh; with --budget, as much as can be seen in it.",
+            "the scanner always on, chosen on the part's mesh; with --budget, as much as can be seen in it. "
+            "auto: both are planned, and the one that sees no less in fewer seconds is kept.",
         ),
     ] = "stops",
     completeness: Annotated[
         float | None,
         typer.Option(
             "--completeness",
-            help="With --motion continuous: this share of what can be seen, 0..1, in the least seconds.",
+            help="With --motion continuous or auto: this share of what can be seen, 0..1, in the least "
+            "seconds.",
         ),
     ] = None,
     placements: Annotated[

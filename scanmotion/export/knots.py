@@ -49,6 +49,40 @@ def _beside(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.abs(points - a - share[:, None] * along).max(axis=1)
 
 
+def way_back_knots(
+    t: np.ndarray, path: np.ndarray, knots: np.ndarray, tolerance: float, *, shortest: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Knots that are close enough to go back along straight lines, and which of them that takes.
+
+    Args:
+        t: times, shape (n,) [s].
+        path: samples in order, shape (n, k).
+        knots: indices of samples, the first and last sample among them, shape (m,).
+        tolerance: greatest distance of a sample from the straight line past it, as far as `shortest` allows.
+        shortest: no knot is added closer to another one [s].
+
+    Returns:
+        the knots with those that were added between them, and those of them on the way back, both as
+        indices of samples.
+    """
+    kept, spans = {0, len(path) - 1}, [(0, len(path) - 1)]
+    fine = set(knots.tolist())
+    while spans:
+        a, b = spans.pop()
+        away = _beside(path[a : b + 1], path[a], path[b])
+        if away.max() <= tolerance:
+            continue
+        known = [k for k in fine if a < k < b]
+        worst = a + int(away.argmax())
+        middle = min(known, key=lambda k: abs(k - worst)) if known else (a + b) // 2
+        if not known and min(t[middle] - t[a], t[b] - t[middle]) < shortest:
+            continue
+        fine.add(middle)
+        kept.add(middle)
+        spans += [(a, middle), (middle, b)]
+    return np.array(sorted(fine)), np.array(sorted(kept))
+
+
 def spline_knots(
     t: np.ndarray, q: np.ndarray, tolerance: float, *, longest: float, shortest: float, most: int
 ) -> tuple[np.ndarray, float]:

@@ -50,6 +50,11 @@ def rapid_files(job: ExportJob) -> Files:
             f"the joints of {robot} do not turn as an ABB arm's do (A1 about z, A2, A3, A5 about y, A4, A6 "
             "about x at zero), so RAPID cannot carry them"
         )
+    if any(o.kind == "path" for o in job.source.record.operations):
+        raise InputError(
+            "a continuous motion is not written as RAPID, whose way back after a fault of the scanner "
+            "follows one joint that only grows or only falls; csv, json and ros carry it; or --motion stops"
+        )
     lines = [
         f"MODULE M_{job.name}",
         *(f"! {x}" for x in _remarks(job)),

@@ -1,6 +1,7 @@
 """Operations and viewpoints: order, rest, whole turns, and whether the scanner stands where it claims to."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from scanmotion.core.finding import Finding
 from scanmotion.core.trajectory import Trajectory
@@ -124,13 +125,15 @@ def judge_viewpoints(record: PlanRecord, trajectory: Trajectory, motion: Motion)
 
 
 def _around(X: np.ndarray, k: int, parts: int = 20) -> np.ndarray:
-    """Poses (n, 4, 4) interpolated evenly from the sample before k to the one after it.
-
-    Matrices are mixed: over a turn of 1 deg between samples that is off by 0.002 deg.
-    """
-    share = np.linspace(0.0, 1.0, parts + 1)[:, None, None]
-    low, high = max(k - 1, 0), min(k + 1, len(X) - 1)
-    return np.concatenate([X[i] + share * (X[i + 1] - X[i]) for i in range(low, high)] or [X[k : k + 1]])
+    """Poses (n, 4, 4) from the sample before k to the one after it, moved and turned evenly in between."""
+    share = np.linspace(0.0, 1.0, parts + 1)
+    rows = [X[k : k + 1]]
+    for i in range(max(k - 1, 0), min(k + 1, len(X) - 1)):
+        turn = Rotation.from_matrix(X[i, :3, :3].T @ X[i + 1, :3, :3]).as_rotvec()
+        part = X[i] + share[:, None, None] * (X[i + 1] - X[i])
+        part[:, :3, :3] = X[i, :3, :3] @ Rotation.from_rotvec(share[:, None] * turn).as_matrix()
+        rows.append(part)
+    return np.concatenate(rows)
 
 
 def nearest(view: ViewpointRecord, X_OS: np.ndarray) -> tuple[float, float, int]:

@@ -259,3 +259,39 @@ def continuous_step(ctx: Context, state: PlanState) -> PlanState | None:
         tour=made.tour, paths=made.paths, trajectory=made.trajectory, unreachable=(), seen=state.seen,
     )  # fmt: skip
     return with_segment(ctx, replace(state, motion=made.record), segment, ctx.rng("continuous_scan"))
+
+
+def better_motion(ctx: Context, moving: PlanState | None, still: PlanState) -> PlanState:
+    """The better of a continuous motion and of stops, by what the twin has seen along each.
+
+    The motion is kept where it sees no fewer samples, or as much as was asked for, in fewer seconds; where
+    the budget is to be used up, where it sees more inside it.
+
+    Args:
+        ctx: what planning reads.
+        moving: the continuous motion; None where none can be driven.
+        still: turns and stops.
+    """
+    if moving is None:
+        return replace(still, motion=NO_MOTION)
+    assert moving.visible is not None and moving.motion is not None
+    can = max(int((moving.visible | moving.seen | still.seen).sum()), 1)
+    seen = {"continuous": int(moving.seen.sum()), "stops": int(still.seen.sum())}
+    shares = {kind: n / can for kind, n in seen.items()}
+    seconds = {"continuous": moving.duration, "stops": still.duration}
+    asked = ctx.options.completeness
+    enough = shares["stops"] if asked is None else min(asked, shares["stops"])
+    if ctx.options.fill and moving.duration <= max(ctx.budget_s, still.duration):
+        keeps = (seen["continuous"], -moving.duration) > (seen["stops"], -still.duration)
+    else:
+        keeps = shares["continuous"] >= enough and moving.duration < still.duration
+    kept, other = ("continuous", "stops") if keeps else ("stops", "continuous")
+    told = {k: f"{k} ({seconds[k]:.1f} s, {shares[k]:.2%} of what can be seen)" for k in seconds}
+    record = {
+        **(moving.motion if keeps else {}), "kind": kept,
+        "compared": {
+            k: {"seconds": round(seconds[k], 2), "completeness": round(shares[k], 6)} for k in seconds
+        },
+        "note": f"{told[kept]} rather than {told[other]}, by the twin",
+    }  # fmt: skip
+    return replace(moving if keeps else still, motion=record)

@@ -9,7 +9,7 @@ from scanmotion.sensing.simulator.captures import ScanErrors
 
 Source = Literal["mesh", "box", "scan"]
 Mode = Literal["default", "paper"]
-MotionKind = Literal["stops", "continuous"]
+MotionKind = Literal["stops", "continuous", "auto"]
 Strategy = Literal["two-step", "cad-slicing", "surface-partitioning"]
 
 
@@ -53,7 +53,8 @@ class PlanOptions:
     """axis: the table is a seventh axis. fallback: it turns for stations only where the arm alone cannot."""
     motion: MotionKind = "stops"
     """stops: turns and stops from rest to rest. continuous: arm and table move at once, the scanner captures
-    all the time; where no such motion can be driven, stops."""
+    all the time; where no such motion can be driven, stops. auto: both are planned; the one that the twin
+    finds to see no less in fewer seconds is kept."""
     completeness: float | None = None
     """A continuous motion sees at least this share of what can be seen, in the least seconds; None: what a
     second is worth decides."""
@@ -67,7 +68,7 @@ class PlanOptions:
     def __post_init__(self) -> None:
         for name, known in (
             ("turntable", ("axis", "fallback")),
-            ("motion", ("stops", "continuous")),
+            ("motion", ("stops", "continuous", "auto")),
             ("source", ("mesh", "box", "scan")),
             ("mode", ("default", "paper")),
             ("strategy", ("two-step", "cad-slicing", "surface-partitioning")),
@@ -76,7 +77,7 @@ class PlanOptions:
                 raise InputError(f"unknown {name} {getattr(self, name)!r}; known: {', '.join(known)}")
         if self.completeness is not None and not 0.0 < self.completeness <= 1.0:
             raise InputError(f"completeness {self.completeness:g}: a share between 0 and 1 is expected")
-        if self.motion == "continuous":
+        if self.motion != "stops":
             self._check_continuous()
         elif self.completeness is not None:
             raise InputError("a completeness is asked of a continuous motion only")

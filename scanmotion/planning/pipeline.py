@@ -22,7 +22,7 @@ from scanmotion.motion.order.sequence import sequence
 from scanmotion.motion.reach.find import reachable_mask
 from scanmotion.planning.confidence import Confidence, Prediction, Uncertainty, confidence
 from scanmotion.planning.context import Context, Simulator, context_from
-from scanmotion.planning.continuous import NO_MOTION, continuous_step
+from scanmotion.planning.continuous import better_motion, continuous_step
 from scanmotion.planning.local_rounds import local_rounds
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.plan import Plan
@@ -72,16 +72,26 @@ def plan(
         return _own_views(part, settings, viewpoints, order, options or PlanOptions(), progress)
     ctx = context_from(part, settings, options or PlanOptions(), progress)
     state = begin(ctx)
-    if ctx.options.motion == "continuous":
-        moving = continuous_step(ctx, state)
-        if moving is not None:
-            return plan_from(ctx, moving)
-        state = replace(state, motion=NO_MOTION)
+    return plan_from(ctx, _programme(ctx, state))
+
+
+def _programme(ctx: Context, state: PlanState) -> PlanState:
+    """The whole scan, in the kind of motion that the options ask for."""
+    asked = ctx.options.motion
+    moving = None if asked == "stops" else continuous_step(ctx, state)
+    if moving is not None and asked == "continuous":
+        return moving
+    still = _stops(ctx, state)
+    return still if asked == "stops" else better_motion(ctx, moving, still)
+
+
+def _stops(ctx: Context, state: PlanState) -> PlanState:
+    """The scan by turns and stops, in the method's steps."""
     if ctx.measured is None:
         state = global_step(ctx, state)
     if ctx.method.takes_local_step and state.cloud is not None:
         state = prune(ctx, before=state, after=local_rounds(ctx, state))
-    return plan_from(ctx, state)
+    return state
 
 
 def _own_views(

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from scanmotion.core.errors import InputError
 from scanmotion.export.job import DRY_PERCENT, ExportJob
-from scanmotion.export.knots import polyline_knots, spline_knots
+from scanmotion.export.knots import polyline_knots, spline_knots, way_back_knots
 from scanmotion.export.pose import abc_from_rotation
 from scanmotion.export.source import Stretch
 
@@ -24,6 +24,10 @@ SPLINE_DEG = 0.002
 """How far a cubic spline through the timed points may be from the planned joints [deg]."""
 SPLINE_LONGEST_S, SPLINE_SHORTEST_S = 0.25, 0.03
 """Greatest and least time between two points of a timed spline [s]."""
+PATH_POINTS, PATH_DEG = 6000, 0.004
+"""Points of a continuous motion, one spline however long, and how far it may leave the plan [deg]."""
+BACK_DEG = 0.02
+"""How far the way back along a continuous motion may be from what was driven [deg]."""
 BACK_PERCENT, BACK_M_S = 10, 0.05
 """Speed of the way back after a fault of the scanner: of the joints, and of the scanner on a line [m/s]."""
 _NAMES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
@@ -139,20 +143,35 @@ def timed_block(stretch: Stretch, job: ExportJob) -> KrlBlock:
     if still(stretch):
         return _wait(stretch, job)
     t, q = stretch.t, np.rad2deg(stretch.q)
+    whole = stretch.operation.kind == "path"
+    tolerance, most = (PATH_DEG, PATH_POINTS) if whole else (SPLINE_DEG, MOST_POINTS)
     knots, away = spline_knots(
-        t, q, SPLINE_DEG, longest=SPLINE_LONGEST_S, shortest=SPLINE_SHORTEST_S, most=MOST_POINTS
+        t, q, tolerance, longest=SPLINE_LONGEST_S, shortest=SPLINE_SHORTEST_S, most=most
     )
+    passed = knots if stretch.operation.kind == "helix" else knots[:1]
+    if whole:
+        knots, passed = way_back_knots(t, q, knots, BACK_DEG, shortest=SPLINE_SHORTEST_S)
     share = np.round(100 * (t[knots] - t[0]) / stretch.duration, 5)
-    marks = stretch.operation.kind == "helix"
+    marks = {int(k): n for n, k in enumerate(passed) if n}
     # The first point is where the arm stands already; public programmes put it before TIME_BLOCK START.
     lines = ["PTP_SPLINE", f" SPTP {axes(q[0])}", " TIME_BLOCK START"]
-    for n, (i, part) in enumerate(zip(knots[1:], np.diff(share), strict=True), 1):
-        if marks:
-            lines.append(f" TRIGGER WHEN PATH=0 DELAY=0 DO {job.name}_AT={n}")
+    for i, part in zip(knots[1:], np.diff(share), strict=True):
+        if int(i) in marks:
+            lines.append(f" TRIGGER WHEN PATH=0 DELAY=0 DO {job.name}_AT={marks[int(i)]}")
         lines += [f" SPTP {axes(q[i])}", f" TIME_BLOCK PART = {number(part)}"]
     seconds = stretch.duration * (100 / DRY_PERCENT if job.dry_run else 1)
     lines += [f" TIME_BLOCK END = {number(seconds, 4)}", "ENDSPLINE"]
-    return KrlBlock(lines=tuple(lines), back=_back(stretch, q[knots], job), away=away)
+    back = _back_along(stretch, passed, job) if whole else _back(stretch, q[knots], job)
+    return KrlBlock(lines=tuple(lines), back=back, away=away)
+
+
+def _back_along(stretch: Stretch, knots: np.ndarray, job: ExportJob) -> tuple[str, ...]:
+    """The way back along a continuous motion, through the counted points, no faster than it was driven."""
+    q, percents, lines = np.rad2deg(stretch.q[knots]), ptp_percents(stretch, knots, job), []
+    for n in range(len(knots) - 2, -1, -1):
+        move = (f"{job.name}_SPD ({percents[n]})", f"PTP {axes(q[n])}")
+        lines += [f"IF {job.name}_AT>={n} THEN", *move, "ENDIF"] if n else move
+    return (*lines, f"{job.name}_SPD (100)")
 
 
 def _wait(stretch: Stretch, job: ExportJob) -> KrlBlock:

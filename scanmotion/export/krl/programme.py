@@ -75,10 +75,10 @@ def timed_files(job: ExportJob) -> Files:
 def _files(job: ExportJob, manner: Manner) -> Files:
     krl_name(job.name)
     record = job.source.record
-    if any(o.kind == "path" for o in record.operations):
+    if manner is CLASSIC and any(o.kind == "path" for o in record.operations):
         raise InputError(
-            "a continuous motion is not written as KRL: the programme would leave the plan by more than the "
-            "judge allows; csv, json and ros carry it as it is, or plan with --motion stops"
+            "a continuous motion lives by its times, which PTP does not keep: take --to krl-timed, "
+            "or plan with --motion stops"
         )
     if np.abs(job.arm.axes_at_zero() - KUKA_AXES).max() > 1e-3:
         raise InputError(
