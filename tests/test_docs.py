@@ -84,7 +84,9 @@ def test_every_room_stands_in_the_design():
     text = (ROOT / "docs" / "design.md").read_text(encoding="utf-8")
     for path in (ROOT / "scanmotion").iterdir():
         name = f"{path.name}/" if path.is_dir() else path.name
-        assert path.name.startswith(("__init__", "__pycache__", "_models")) or f"`{name}`" in text, name
+        assert (
+            path.name.startswith(("__init__", "__pycache__", "_models", "py.typed")) or f"`{name}`" in text
+        ), name
 
 
 def test_cell_reference_is_current():

@@ -692,7 +692,8 @@ def test_the_judge_imports_nothing_of_what_it_judges():
     rooms = {p.relative_to(ROOT).parts[0] for p in seen}
     assert rooms <= {"__init__.py", "judge", "core", "geometry", "plan_io"}
     assert "fcl" in outside
-    assert not outside & {"pydrake", "py_opw_kinematics", "ompl", "open3d", "numba", "toppra"}
+    # numba compiles loops of the files' readers, which planner and judge share.
+    assert not outside & {"pydrake", "py_opw_kinematics", "ompl", "open3d", "toppra"}
 
 
 def test_judging_loads_neither_the_planner_nor_drake():

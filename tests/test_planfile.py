@@ -368,6 +368,7 @@ def small_files():
         written.agree()
         written.plan["unreachable"] = [[n, "left out"] for n in ("G1", "S1", "S2", "S3")]
         _SMALL.update(written.files)
+        assert "frames.csv" not in _SMALL
         _SMALL["trajectory.csv"], _SMALL["plan.json"] = written.text(), json.dumps(written.plan)
     return _SMALL
 

@@ -77,6 +77,8 @@ def test_the_whole_surface_is_counted_as_before(old, again, order):
     )
     assert after["completeness"]["final"] == pytest.approx(before["completeness"]["final"], abs=5e-3)
     assert after["time_s"]["floor"] <= after["time_s"]["total"]
+    # Which solver served what was executed is not known again.
+    after["viewpoints"].pop("solvers"), before["viewpoints"].pop("solvers")
     assert after["viewpoints"] == before["viewpoints"]
 
 

@@ -132,7 +132,8 @@ def _plant(urdf: Urdf, name: str) -> tuple[MultibodyPlant, Any, tuple[str, ...]]
         try:
             file: Any = str(Path(folder) / "arm.urdf")
             Parser(plant).AddModels(file)
-        except RuntimeError as error:
+        except (RuntimeError, SystemExit) as error:
+            # Drake ends the process on sizes that its shapes refuse.
             text = str(error).replace(folder, "").replace("/arm.urdf", name)
             raise CellError(
                 f"{name}: Drake cannot read it ({' '.join(text.split())[:200]})", key="robot.model"

@@ -8,12 +8,13 @@ if TYPE_CHECKING:
     from scanmotion.planning.plan import Plan
 
 
-def pages(made: "Plan", progress: Progress) -> dict[str, str]:
+def pages(made: "Plan", progress: Progress | None = None) -> dict[str, str]:
     """The two HTML files that go with a plan."""
+    tell = progress or (lambda stage, share: None)
     from scanmotion.report.page import report_html
     from scanmotion.report.scene import scene_html
 
-    progress("scene", 0.0)
+    tell("scene", 0.0)
     scene = scene_html(made)
-    progress("report", 0.5)
+    tell("report", 0.5)
     return {"scene.html": scene, "report.html": report_html(made)}
