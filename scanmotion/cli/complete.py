@@ -63,7 +63,7 @@ def page_of(made: "Plan", summary: dict[str, Any]) -> str:
     from scanmotion.report.figures.maps import hole_figure
 
     buffer = io.BytesIO()
-    hole_figure(made.part, made.holes).savefig(buffer, format="png")
+    hole_figure(made.part, made.holes).savefig(buffer, format="png")  # pyright: ignore
     picture = base64.b64encode(buffer.getvalue()).decode("ascii")
     lines = [ANSWER[0].upper() + ANSWER[1:] + "."]
     if tiny := summary["holes"]["tiny"]:

@@ -151,7 +151,7 @@ class DrakeJudge:
                 return -1e-6
             least = min(least, fcl.distance(self._part, shape, fcl.DistanceRequest(), fcl.DistanceResult()))
         assert self.cell.part is not None
-        if least >= enough and self.cell.part.closed and self._inside(X_WL, X_WO, body):
+        if least >= enough and self.cell.part.closed and self._inside(X_WL, X_WO, body):  # pyright: ignore
             return -1e-6
         return float(least)
 
@@ -205,7 +205,7 @@ class DrakeJudge:
         """Greatest distance of a solid's point from the frame of its link, by link 1..6 [m]."""
         drake, cell = self._drake, self.cell
         plant, context = drake.plant, drake.context
-        plant.SetPositions(context, np.zeros(plant.num_positions()))
+        plant.SetPositions(context, np.zeros(plant.num_positions()))  # pyright: ignore
         frames = link_poses(cell, np.zeros((1, 7)))[0]
         joints = [plant.GetJointByName(n) for n in cell.settings.robot.joints]
         moved = [set(plant.GetBodiesKinematicallyAffectedBy([j.index()])) for j in joints]
@@ -216,7 +216,7 @@ class DrakeJudge:
                 continue
             X_WB = plant.EvalBodyPoseInWorld(context, plant.get_body(index)).GetAsMatrix4()
             for i in plant.GetCollisionGeometriesForBody(plant.get_body(index)):
-                p = (X_WB @ drake.inspector.GetPoseInFrame(i).GetAsMatrix4())[:3, 3]
+                p = (X_WB @ drake.inspector.GetPoseInFrame(i).GetAsMatrix4())[:3, 3]  # pyright: ignore
                 far = float(np.linalg.norm(p - frames[link][:3, 3])) + _radius(drake.inspector.GetShape(i))
                 radii[link] = max(radii.get(link, 0.0), far)
         return radii
@@ -288,7 +288,7 @@ def _for_fcl(inspector: SceneGraphInspector, geometry: GeometryId) -> tuple[Any,
         solid.beginModel(len(points), len(triangles))
         solid.addSubModel(points, triangles)
         solid.endModel()
-    return fcl.CollisionObject(solid, fcl.Transform()), X_BG
+    return fcl.CollisionObject(solid, fcl.Transform()), X_BG  # pyright: ignore
 
 
 def _winding(part: Any, p: np.ndarray) -> float:

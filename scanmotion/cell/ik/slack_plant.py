@@ -123,7 +123,7 @@ class SlackPlant:
             if positions.dtype != object:
                 return cost(np.asarray(positions, dtype=float)[order])[0]
             value, slope = cost(ExtractValue(positions).ravel()[order])
-            return AutoDiffXd(value, slope @ ExtractGradient(positions)[order])
+            return AutoDiffXd(value, slope @ ExtractGradient(positions)[order])  # pyright: ignore
 
         ik.prog().AddCost(evaluated, ik.q())
         return self.configuration(self._result(ik, self.positions(seed), 30).GetSolution(ik.q()))
@@ -158,7 +158,7 @@ class SlackPlant:
         """SNOPT's answer; it stops by work done, not by time."""
         solver, options = SnoptSolver(), SolverOptions()
         options.SetOption(solver.solver_id(), "Major iterations limit", iterations)
-        return solver.Solve(ik.prog(), start, options)
+        return solver.Solve(ik.prog(), start, options)  # pyright: ignore
 
     @property
     def order(self) -> np.ndarray:

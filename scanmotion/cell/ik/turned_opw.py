@@ -150,7 +150,7 @@ def _checked(
     X_BA = np.eye(4)
     X_BA[:3, :3], X_BA[:3, 3] = R_BA, origin
     X_AB = inverse_poses(X_BA)
-    zero = np.array(solver.forward((0.0,) * 6).as_matrix())
+    zero = np.array(solver.forward((0.0,) * 6).as_matrix())  # pyright: ignore
     X_FG = inverse_poses(X_AB @ arm_poses(robot, up[None])[0, 6] @ robot.X_6F) @ zero
     theta = fixed_stream("turned_opw_check").uniform(-2, 2, (6, 6))
     got = np.array([solver.forward(tuple(row)).as_matrix() for row in theta])

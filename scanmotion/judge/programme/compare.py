@@ -161,4 +161,4 @@ def _step_finding(
     n: int, o: Operation, text: str, *, code: str = "path", value: float | None = None
 ) -> Finding:
     name = f"step {n} ({o.kind} {' '.join(o.viewpoints[:3])})"
-    return Finding(code=code, message=f"{name} {text}", where=f"step {n}", value=value, t=o.t_start)
+    return Finding(code=code, message=f"{name} {text}", where=f"step {n}", value=value, t=o.t_start)  # pyright: ignore
