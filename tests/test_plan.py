@@ -136,7 +136,10 @@ def test_the_summary_has_the_contracts_keys(saved, planned):
     assert set(summary["budget"]) == {"limit_s", "ok", "costliest", "by_order", "curve", "advice"}
     assert summary["findings"] == []
     assert summary["planning_s"]["total"] >= max(v for k, v in summary["planning_s"].items() if k != "total")
-    assert timeless(summary) == timeless(json.loads(json.dumps(planned.summary.document())))
+    # The margins are the judge's, of the written files.
+    told = {k: v for k, v in summary.items() if k != "margins"}
+    assert "margins" in summary
+    assert timeless(told) == timeless(json.loads(json.dumps(planned.summary.document())))
     assert {type(v) for v in leaves(planned.summary.document())} <= {str, int, float, bool, type(None)}
 
 
