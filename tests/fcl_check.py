@@ -5,7 +5,6 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from scanmotion.cell.build import TABLE, TOOL, Cell
-from scanmotion.cell.collision.pairs import IGNORED_PAIRS
 from scanmotion.cell.collision.shapes import fcl_object
 from scanmotion.cell.drake_scene import add_cell
 
@@ -63,7 +62,7 @@ class FclCell:
                 outside = min(outside, _distance(self.part, shape))
             for second, solid in robot[n + 1 :]:
                 pair = (min(body.link, second.link), max(body.link, second.link))
-                if pair[0] != pair[1] and pair not in IGNORED_PAIRS:
+                if pair[1] - pair[0] > 1:
                     inside = min(inside, _distance(shape, solid))
         return outside, inside
 
