@@ -35,7 +35,11 @@ def missed(file, folder, tmp_path, count, seed, language):
     Returns:
         words on those that are missed, and on all in which nothing was found.
     """
-    names = [p.name for p in sorted(file.parent.iterdir()) if p.suffix in (".src", ".dat", ".mod", ".script", ".st")]
+    names = [
+        p.name
+        for p in sorted(file.parent.iterdir())
+        if p.suffix in (".src", ".dat", ".mod", ".script", ".st")
+    ]
     for name in names:
         shutil.copy(file.parent / name, tmp_path / name)
     others = [n for n in names if n != file.name]
@@ -63,7 +67,7 @@ def missed(file, folder, tmp_path, count, seed, language):
 
 
 def harmless(run, good):
-    """Near the good programme's path and times, with the same outputs, steps and messages in the same order."""
+    """Near the good programme: path and times, and the same outputs, steps and messages in the same order."""
     told = [_told(r) for r in (run, good)]
     return (
         run.ended

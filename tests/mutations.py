@@ -1,4 +1,4 @@
-"""Faults planted in a programme's text, as an editor, a copy, a tired engineer or a broken transfer makes them."""
+"""Faults planted in a programme's text, as an editor, a copy, a tired engineer or a broken transfer makes."""
 
 import re
 
@@ -18,8 +18,8 @@ _HANDSHAKE = re.compile(
 )
 _WORDS = (
     ("TRUE", "FALSE"), ("FALSE", "TRUE"), ("True", "False"), ("False", "True"), (" AND ", " OR "),
-    (" OR ", " AND "), (" and ", " or "), (" or ", " and "), ("NOT ", ""), ("not ", ""), (">=", "<="),
-    ("<=", ">="), ("==", "<>"), (" ON ", " OFF "), (" OFF ", " ON "), ("fine", "zScan"), ("zScan", "fine"),
+    (" OR ", " AND "), (" and ", " or "), (" or ", " and "), ("NOT ", ""), ("not ", ""),
+    (">=", "<="), ("<=", ">="), ("==", "<>"), (" ON ", " OFF "), (" OFF ", " ON "), ("fine", "zScan"), ("zScan", "fine"),
     (" C_PTP", ""), (" C_DIS", ""), ("IWatch", "ISleep"), ("ISleep", "IWatch"), ("A4 ", "A5 "), ("A1 ", "A2 "),
     ("E1 ", "E2 "), ("PTP ", "LIN "), ("SPTP", "PTP"), ("+", "-"), ("BRAKE", "CONTINUE"), ("#TOOL", "#BASE"),
     ("ROBROOT", "NULLFRAME"), ("SEC", "FOR"), ("stopj", "stopl"), ("\\T", "\\V"),
@@ -37,7 +37,8 @@ _LINES = {
         "MoveAbsJ jStart,vSlow,fine,scan_tool\\WObj:=scan_base;", "IDelete iFrame;", "ClearPath;",
     ),
     "urscript": (
-        "set_tcp(p[0,0,0,0,0,0])", "set_payload(10)", "halt", "sleep(5.0)", "scan_step = 3", "scan_bad = False",
+        "set_tcp(p[0,0,0,0,0,0])", "set_payload(10)", "halt", "sleep(5.0)", "scan_step = 3",
+        "scan_bad = False",
         "write_output_boolean_register(33, True)", "write_output_boolean_register(33, False)",
         "write_output_boolean_register(35, True)", "set_standard_digital_out(5, True)", "return False",
         "stopj(2.0)", "movej(scan_start, a=0.3, v=0.1)", "scan_go(3)", "speedj([0,0,0,0,0,0], 1, 1)",

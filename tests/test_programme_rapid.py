@@ -112,7 +112,9 @@ def test_a_continuous_motion_is_driven_and_goes_back_through_the_points_it_has_p
     """The line of the sweep as a motion of kind `path`; a fault leads back through counted points."""
     cell = build_cell(load_cell("irb6700"), box_part(0.2, 0.15, 0.4))
     made = made_by_hand(cell)
-    operations = tuple(replace(o, kind="path" if o.kind == "sweep" else o.kind) for o in made.trajectory.operations)
+    operations = tuple(
+        replace(o, kind="path" if o.kind == "sweep" else o.kind) for o in made.trajectory.operations
+    )
     made.trajectory = made.cycle = replace(made.trajectory, operations=operations)
     write_files(tmp_path, plan_files(made))
     (file,) = export_plan(tmp_path, "rapid")
