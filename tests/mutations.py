@@ -18,11 +18,12 @@ _HANDSHAKE = re.compile(
 )
 _WORDS = (
     ("TRUE", "FALSE"), ("FALSE", "TRUE"), ("True", "False"), ("False", "True"), (" AND ", " OR "),
-    (" OR ", " AND "), (" and ", " or "), (" or ", " and "), ("NOT ", ""), ("not ", ""),
-    (">=", "<="), ("<=", ">="), ("==", "<>"), (" ON ", " OFF "), (" OFF ", " ON "), ("fine", "zScan"), ("zScan", "fine"),
-    (" C_PTP", ""), (" C_DIS", ""), ("IWatch", "ISleep"), ("ISleep", "IWatch"), ("A4 ", "A5 "), ("A1 ", "A2 "),
-    ("E1 ", "E2 "), ("PTP ", "LIN "), ("SPTP", "PTP"), ("+", "-"), ("BRAKE", "CONTINUE"), ("#TOOL", "#BASE"),
-    ("ROBROOT", "NULLFRAME"), ("SEC", "FOR"), ("stopj", "stopl"), ("\\T", "\\V"),
+    (" OR ", " AND "), (" and ", " or "), (" or ", " and "), ("NOT ", ""), ("not ", ""), (">=", "<="),
+    ("<=", ">="), ("==", "<>"), (" ON ", " OFF "), (" OFF ", " ON "), ("fine", "zScan"),
+    ("zScan", "fine"), (" C_PTP", ""), (" C_DIS", ""), ("IWatch", "ISleep"), ("ISleep", "IWatch"),
+    ("A4 ", "A5 "), ("A1 ", "A2 "), ("E1 ", "E2 "), ("PTP ", "LIN "), ("SPTP", "PTP"), ("+", "-"),
+    ("BRAKE", "CONTINUE"), ("#TOOL", "#BASE"), ("ROBROOT", "NULLFRAME"), ("SEC", "FOR"),
+    ("stopj", "stopl"), ("\\T", "\\V"),
 )  # fmt: skip
 _LINES = {
     "krl": (
