@@ -9,13 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_plan import TINY, pitted
 
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.errors import InputError
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import look_at
 from scanmotion.export import export_plan
-from scanmotion.geometry.parts import box_part, surface_samples
-from scanmotion.geometry.revolved import swept_part
+from scanmotion.geometry.parts.make_part import box_part, surface_samples
+from scanmotion.geometry.parts.revolved import swept_part
 from scanmotion.judge import verify
 from scanmotion.judge.programme.check import verify_programme
 from scanmotion.judge.views import _around
@@ -24,10 +24,10 @@ from scanmotion.motion.continuous.table_travel import MOST_PIECES, angle_at, pie
 from scanmotion.motion.timing.path import turns_in
 from scanmotion.plan_io.read import read_json
 from scanmotion.plan_io.save import judged
-from scanmotion.planning.continuous import better_motion
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.planning.replan import replan
 from scanmotion.planning.state import PlanState
+from scanmotion.planning.steps.continuous import better_motion
 from scanmotion.sensing.sight import grid_cell_of, masks_of, octahedral, sight_from, unpacked
 from scanmotion.sensing.visibility import revolution_poses, scene_from, sees
 

@@ -9,12 +9,12 @@ from exported_plan import made_by_hand
 from mutations import KINDS, mutated
 
 from scanmotion.cell.build import build_cell
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.errors import InputError, PlanFileError
 from scanmotion.export import export_plan
 from scanmotion.export.knots import timed_knots
 from scanmotion.export.source import write_files
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.judge.programme.check import verify_programme
 from scanmotion.judge.programme.controller import controller_from
 from scanmotion.judge.programme.world import ScriptedScanner

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from scanmotion.core.errors import PlanFileError
-from scanmotion.judge.programme import statements as st
-from scanmotion.judge.programme.expressions import Name, member, value_of
+from scanmotion.judge.programme.language import statements as st
+from scanmotion.judge.programme.language.expressions import Name, member, value_of
 from scanmotion.judge.programme.motions import AXES, Ended, Left, Mover, Resumed, Returned, Stopped
 from scanmotion.judge.programme.paths import TICK_S, Drive
 from scanmotion.judge.programme.system_variables import check_setting
