@@ -40,9 +40,9 @@ import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
+from scanmotion.cell.arm.robot import Robot, arm_poses, clean_angle, least_singular
 from scanmotion.cell.ik.choice import has_closed_form, solver_of
-from scanmotion.cell.robot import Robot, arm_poses, clean_angle, least_singular
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cell.suggest import suggestion
 from scanmotion.core.errors import CellError
 

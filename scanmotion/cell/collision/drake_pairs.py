@@ -13,7 +13,7 @@ from pydrake.geometry import GeometryId
 
 from scanmotion.cell.drake_scene import DrakeCell
 from scanmotion.cell.model import Cell
-from scanmotion.core.streams import fixed_stream
+from scanmotion.core.support.streams import fixed_stream
 
 CONFIGURATIONS = 200
 NEARLY_ALWAYS = 0.9

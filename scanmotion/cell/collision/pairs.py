@@ -12,10 +12,10 @@ from weakref import WeakKeyDictionary
 import fcl
 import numpy as np
 
+from scanmotion.cell.arm.robot import Body, Robot, arm_poses
 from scanmotion.cell.collision.shapes import box_of, fcl_object
 from scanmotion.cell.model import TOOL, Cell
-from scanmotion.cell.robot import Body, Robot, arm_poses
-from scanmotion.core.streams import fixed_stream
+from scanmotion.core.support.streams import fixed_stream
 
 NEARLY_ALWAYS = 0.95
 """Share of positions from which on a pair counts as meeting by construction.

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from scanmotion.cell.arm.robot import Body
 from scanmotion.cell.collision.near_tables import by_tables, near_tables, way_to_blocked
 from scanmotion.cell.collision.pairs import ignored, on_floor
 from scanmotion.cell.collision.shapes import beyond, box_of
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
-from scanmotion.cell.robot import Body
 from scanmotion.core.part import Part
 from scanmotion.geometry.chain import link_frames
 

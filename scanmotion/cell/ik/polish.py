@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scanmotion.cell.robot import Robot, arm_jacobian, arm_poses, clean_angle
+from scanmotion.cell.arm.robot import Robot, arm_jacobian, arm_poses, clean_angle
 
 _STEPS = 4
 _MISSED = 1e-9
