@@ -51,7 +51,7 @@ class BatchEntry(_Record):
 class JobRecord(_Record):
     """job.json."""
 
-    format: int = Field(1, ge=1, le=1)
+    format: int = Field(default=1, ge=1, le=1)
     name: str
     box_mm: tuple[float, float, float]
     seed: int = Field(ge=0)
