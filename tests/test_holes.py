@@ -451,7 +451,7 @@ def test_an_exact_plane_has_its_edge_only(axis: int, by_angle: LargestAngle | No
     assert outer.kind == "edge"
     assert np.allclose(outer.extent, [0.12, 0.12, 0], atol=2 * STEP)
     assert np.allclose(np.abs(outer.normal), np.eye(3)[axis], atol=1e-9)
-    if mode == "default":
+    if by_angle is None:
         assert len(found) == 1 and outer.perimeter == pytest.approx(8 * 0.06, rel=0.1)
 
 

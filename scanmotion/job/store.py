@@ -58,7 +58,7 @@ class JobRecord(_Record):
     plans: tuple[PlanEntry, ...] = ()
     batches: tuple[BatchEntry, ...] = ()
     calibration: dict[str, Any] | None = Field(
-        None, description="in the keys of the cell's section calibration"
+        default=None, description="in the keys of the cell's section calibration"
     )
 
 

@@ -65,8 +65,8 @@ def stepped_rotary(
 ) -> StepPlan:
     """Viewpoints that see a box of L x W x H [m] on the table's axis while the table turns.
 
-    They keep the idea of the paper (`paper_stepped_rotary`) and choose inclination, distance and lateral offset by
-    what they see and by the scanner's way between them: four turns, found by exchange over 810 turns on eight
+    They keep the idea of the paper (`paper_stepped_rotary`) and choose inclination, distance and lateral
+    offset by what they see and by the scanner's way between them: four turns, found by exchange over 810 turns on eight
     sculptures and reliefs and six generated figures; two of them look up from beside the table, three past
     the axis, and taller parts get more rows. Where these leave part of the box's own sides and top unseen, as
     on wide boxes, more turns are added by what they see of it.
@@ -102,8 +102,9 @@ def paper_stepped_rotary(
     standoff: float | None = None,
     pedestal: float = 0.0,
 ) -> StepPlan:
-    """Section 2 of the paper literally: VP0 from 30 deg above the top, k = ceil(H / l) steps down, VPn from 30
-    deg below.
+    """Section 2 of the paper literally.
+
+    VP0 looks from 30 deg above the top; then come k = ceil(H / l) steps down; VPn looks from 30 deg below.
 
     Args:
         length: L along x [m].

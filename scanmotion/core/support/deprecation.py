@@ -4,5 +4,5 @@ import warnings
 
 
 def deprecated(what: str, instead: str) -> None:
-    """Warns that `what` goes in a later version, and says what takes its place; the caller's caller is shown."""
+    """Warns that `what` goes in a later version, and says what takes its place."""
     warnings.warn(f"{what}: deprecated; use {instead}", DeprecationWarning, stacklevel=4)
