@@ -114,7 +114,13 @@ class _Module:
                 inner, _ = self._body("ENDWHILE")
                 found.append(st.Loop(line=where, body=inner, condition=self._parsed(m[1], where)))
             else:
-                found += self._simple(line, where)
+                simple = self._simple(line, where)
+                counts = line.startswith("nAt:=") and found and isinstance(found[-1], st.Move)
+                if counts and isinstance(simple[0], st.Assign):
+                    # The pointer goes on when the robot begins to round the point, not when it is read.
+                    found.insert(len(found) - 1, st.Trigger(line=where, mark=simple[0]))
+                else:
+                    found += simple
 
     def _simple(self, line: str, where: str) -> list[st.Statement]:
         if not line.endswith(";"):
