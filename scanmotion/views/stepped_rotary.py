@@ -65,11 +65,11 @@ def stepped_rotary(
 ) -> StepPlan:
     """Viewpoints that see a box of L x W x H [m] on the table's axis while the table turns.
 
-    They keep the idea of the paper (`paper_stepped_rotary`) and choose inclination, distance and lateral offset
-    by what they see and by the scanner's way between them. The four turns were found by exchange over 810 turns
-    on eight sculptures and reliefs and six generated figures. Two of them look up from beside the table, three
-    past the axis. Taller parts get more rows. Where these leave part of the box's own sides and top unseen, as
-    on wide boxes, more turns are added by what they see of it.
+    They keep the idea of the paper (`paper_stepped_rotary`) and choose inclination, distance and lateral
+    offset by what they see and by the scanner's way between them. The four turns were found by exchange
+    over 810 turns on eight sculptures and reliefs and six generated figures. Two of them look up from
+    beside the table, three past the axis. Taller parts get more rows. Where these leave part of the box's
+    own sides and top unseen, as on wide boxes, more turns are added by what they see of it.
 
     Args:
         length: L along x [m].

@@ -1,9 +1,9 @@
 """Holes of a scanned surface: where samples are missing, how the rim runs, which way it looks.
 
-Paper sections 3.1 and 3.2 (doi 10.3390/act14030139). `LargestAngle` is their way, literally: boundary points
-by the largest angle (45 deg, radius of the 45th neighbour), then DBSCAN. The default looks at the empty space
-itself (see `voronoi_gaps`). Its holes are the rims of regions that hold an empty disc, miss enough samples, and
-lie on one sheet.
+Paper sections 3.1 and 3.2 (doi 10.3390/act14030139). `LargestAngle` is their way, literally: boundary
+points by the largest angle (45 deg, radius of the 45th neighbour), then DBSCAN. The default looks at the
+empty space itself (see `voronoi_gaps`). Its holes are the rims of regions that hold an empty disc, miss
+enough samples, and lie on one sheet.
 """
 
 from dataclasses import dataclass, field, replace
