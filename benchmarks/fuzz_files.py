@@ -26,7 +26,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from mesh_dialects import MESHES, F, V
+from mesh_dialects import MESHES
+from second_clouds import CLOUDS as MORE_CLOUDS
+from second_clouds import GROUPED
+from second_list import MESHES as MORE_MESHES
 from test_cloud_dialects import CLOUDS
 from test_fuzz import damaged
 
@@ -98,8 +101,10 @@ def main() -> int:
 
 
 def common_seeds() -> dict[str, bytes]:
-    """The dialects of meshes and of clouds, short."""
-    return {**MESHES, **{name: shortened(name, data) for name, data in CLOUDS.items()}}
+    """The dialects of meshes and of clouds, both lists, short."""
+    clouds = {**CLOUDS, **MORE_CLOUDS, **GROUPED}
+    seeds = {**MESHES, **MORE_MESHES, **{f"c_{name}": shortened(name, data) for name, data in clouds.items()}}
+    return {name: data for name, data in seeds.items() if not name.endswith((".glb", ".3mf"))}
 
 
 def shortened(name: str, data: bytes) -> bytes:
@@ -112,15 +117,7 @@ def shortened(name: str, data: bytes) -> bytes:
 
 def rare_seeds() -> dict[str, bytes]:
     """Files of the kinds that a library reads."""
-    import trimesh
-
-    mesh = trimesh.Trimesh(V * 1e-3, F, process=False)
-    with tempfile.TemporaryDirectory() as folder:
-        out = {}
-        for name in ("rare.glb", "rare.3mf"):
-            mesh.export(Path(folder) / name)
-            out[name] = (Path(folder) / name).read_bytes()
-    return out
+    return {name: data for name, data in MORE_MESHES.items() if name.endswith((".glb", ".3mf"))}
 
 
 def altered(seed: bytes, rng: np.random.Generator) -> bytes:
