@@ -11,7 +11,7 @@ from test_cloud_dialects import N, P
 from test_mesh_dialects import TRUE, is_the_lump, volume
 
 from scanmotion.core.errors import PartError
-from scanmotion.geometry.parts import part_from_file
+from scanmotion.geometry.parts.make_part import part_from_file
 
 
 def in_the_file(part):

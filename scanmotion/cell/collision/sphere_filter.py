@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from scanmotion.cell.arm.robot import Body
 from scanmotion.cell.collision.pairs import ignored, on_floor
 from scanmotion.cell.collision.shapes import beyond, box_of
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
-from scanmotion.cell.robot import Body
 from scanmotion.core.part import Part
 from scanmotion.geometry.chain import link_frames
 

@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part, SurfaceSamples
-from scanmotion.core.streams import fixed_stream
-from scanmotion.geometry.parts import surface_samples
+from scanmotion.core.support.streams import fixed_stream
+from scanmotion.geometry.parts.make_part import surface_samples
 from scanmotion.sensing.assess import covered_samples, raycaster, signed_distances
 from scanmotion.sensing.visibility import tangents
 

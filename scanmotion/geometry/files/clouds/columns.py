@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scanmotion.core.errors import PartError
-from scanmotion.geometry.files.text import UNIT_NAMES
+from scanmotion.geometry.files.formats.text import UNIT_NAMES
 
 _EAST = ("easting", "east", "rechtswert", "ost", "est", "este", "e")
 _NORTH = ("northing", "north", "hochwert", "nord", "norte", "n")

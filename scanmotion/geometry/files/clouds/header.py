@@ -5,7 +5,7 @@ import re
 from scanmotion.core.errors import PartError
 from scanmotion.geometry.files.clouds.columns import names_known
 from scanmotion.geometry.files.clouds.dialect import Dialect, is_numeral
-from scanmotion.geometry.files.text import stated_unit
+from scanmotion.geometry.files.formats.text import stated_unit
 
 _COMMENTS = (b"#", b"//", b"%", b"!", b"'", b"*", b"--")
 _MOST_HEADER = 200

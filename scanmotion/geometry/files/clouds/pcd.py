@@ -6,8 +6,8 @@ Open3D reads these into single precision and trusts the header's counts; here th
 import numpy as np
 
 from scanmotion.core.errors import PartError
+from scanmotion.geometry.files.formats.text import plain_text, text_step, text_table
 from scanmotion.geometry.files.raw import NO_TRIANGLES, RawGeometry, float_step
-from scanmotion.geometry.files.text import plain_text, text_step, text_table
 
 _LETTERS = {"F": "f", "U": "u", "I": "i"}
 _MOST_PACKED = 300
@@ -142,7 +142,7 @@ def _unpacked(data: bytes, at: int, size: int) -> bytes:
         raise PartError(f"PCD file: its points need {size} bytes, its packed data claim {full}")
     if full > packed * _MOST_PACKED:
         raise PartError(f"PCD file: {packed} packed bytes cannot hold {full}")
-    from scanmotion.geometry.files.walk import unpacked_entry
+    from scanmotion.geometry.files.formats.walk import unpacked_entry
 
     raw, made = unpacked_entry(np.frombuffer(data, np.uint8, packed, at + 8), full)
     if made != full:

@@ -3,8 +3,8 @@
 import numpy as np
 
 from scanmotion.core.errors import PartError
+from scanmotion.geometry.files.formats.text import lines_of, numbers, plain_text, text_table
 from scanmotion.geometry.files.raw import NO_TRIANGLES, RawGeometry
-from scanmotion.geometry.files.text import lines_of, numbers, plain_text, text_table
 
 
 def read_ptx(data: bytes) -> RawGeometry:

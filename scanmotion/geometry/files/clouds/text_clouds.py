@@ -8,8 +8,8 @@ from scanmotion.core.errors import PartError
 from scanmotion.geometry.files.clouds.columns import columns_taken
 from scanmotion.geometry.files.clouds.dialect import dialect_of, is_numeral, plain_numbers
 from scanmotion.geometry.files.clouds.header import head_and_body, is_count, names_of
+from scanmotion.geometry.files.formats.text import Lines, lines_of, plain_text, text_step, text_table
 from scanmotion.geometry.files.raw import NO_TRIANGLES, RawGeometry
-from scanmotion.geometry.files.text import Lines, lines_of, plain_text, text_step, text_table
 
 _HOW = {
     "decimal": "decimal commas were read as points",
