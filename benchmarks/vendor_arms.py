@@ -254,7 +254,7 @@ def table(rows: list[Row]) -> str:
 def main() -> int:
     asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     asked.add_argument("folder", type=Path)
-    asked.add_argument("--only", nargs="*", default=[], help="names that hold one of these words")
+    asked.add_argument("--only", nargs="*", default=[], help="regular expressions of names")
     asked.add_argument("--plan", nargs="*", default=["none"], help="all, none, or names")
     asked.add_argument("--box", nargs=3, default=["330", "200", "600"])
     asked.add_argument("--configurations", type=int, default=200)
@@ -263,7 +263,7 @@ def main() -> int:
     known = packages_in(folder)
     rows = []
     for repository, file in expanded(folder, known):
-        if given.only and not any(word in file.stem for word in given.only):
+        if given.only and not any(re.search(word, file.stem) for word in given.only):
             continue
         wanted = sorted(set(re.findall(r"package://([^/]+)/", file.read_text(errors="replace"))) & set(known))
         folders = tuple(str(known[name]) for name in wanted)
