@@ -20,7 +20,7 @@ from scanmotion.cell.drake_scene import add_cell, add_hull
 if TYPE_CHECKING:
     from scanmotion.cell.model import Cell
 
-_PART_RGBA = np.array([0.80, 0.76, 0.68, 1.0])
+_PART_RGBA: Any = np.array([0.80, 0.76, 0.68, 1.0])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,7 +43,7 @@ class DrakeModel:
         Args:
             q: A1..A6, E1, shape (7,) [rad].
         """
-        positions = np.zeros(self.plant.num_positions())
+        positions: Any = np.zeros(self.plant.num_positions())
         positions[self.order] = np.asarray(q, dtype=float)
         self.plant.SetPositions(self.plant_context, positions)
 
@@ -107,8 +107,8 @@ def _add_picture(plant: MultibodyPlant, cell: "Cell") -> None:
         return
     lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in part.vertices]
     lines += [f"f {a} {b} {c}" for a, b, c in np.asarray(part.triangles) + 1]
-    text = "\n".join(lines) + "\n"
-    mesh = Mesh(InMemoryMesh(mesh_file=MemoryFile(text.encode(), ".obj", "part")))
+    text: Any = ("\n".join(lines) + "\n").encode()
+    mesh = Mesh(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", "part")))
     table = plant.GetBodyByName("turntable", plant.GetModelInstanceByName("turntable"))
     X_TO: Any = cell.X_TO
     plant.RegisterVisualGeometry(table, RigidTransform(X_TO), mesh, "part_picture", _PART_RGBA)
