@@ -317,7 +317,7 @@ class Summary(Open):
     @property
     def finding_lines(self) -> list[str]:
         """Each finding as one line, whether it is a sentence or a record."""
-        lines = []
+        lines: list[str] = []
         for found in self.findings:
             if isinstance(found, dict):
                 found = str(found.get("message") or ", ".join(f"{k} {v}" for k, v in found.items()))

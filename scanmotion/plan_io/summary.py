@@ -110,7 +110,7 @@ def _accuracy(plan: Plan) -> AccuracySummary:
     """Of the fused cloud, and of the surface where the options ask for it."""
     told = millimetres(plan.accuracy())
     if not plan.options.surface or plan.samples is None or plan.seen is None:
-        return AccuracySummary(**told)  # pyright: ignore
+        return AccuracySummary.model_validate(told)
     made = surface_record(surface_from(plan), plan.part, plan.samples.points[plan.seen])
     return AccuracySummary.model_validate({**told, "surface": made})
 

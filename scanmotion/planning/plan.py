@@ -57,7 +57,7 @@ class Plan:
     """Viewpoints of the method that were not planned: (id, reason)."""
     unscanned: tuple[Patch, ...] = ()
     """Patches of surface that stay unscanned, each with its reason."""
-    planning_s: dict[str, float] = field(default_factory=dict)
+    planning_s: dict[str, float] = field(default_factory=dict[str, float])
     scans: tuple[Scan, ...] = ()
     """What the twin measured, as it was fused; only where PlanOptions.keep_scans asks for it."""
     corrections: Corrections | None = None
@@ -71,7 +71,7 @@ class Plan:
     """The continuous motion, as the summary tells it; None for stops."""
     last_word: LastWord | None = None
     """What Drake says of the whole motion; None where nothing moves."""
-    meta: Mapping[str, str] = field(default_factory=dict)
+    meta: Mapping[str, str] = field(default_factory=dict[str, str])
     """What the user notes, as object number, operator, date; it stands in the summary and report."""
     summary: Summary | None = None
     """What the plan achieves and what the judge found; None until it is saved."""

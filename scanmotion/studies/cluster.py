@@ -179,4 +179,4 @@ def _threads_of_worker() -> None:
 
     asked = os.environ.get("OMP_NUM_THREADS", "")
     if asked.isdigit() and int(asked) > 0:
-        numba.set_num_threads(min(int(asked), numba.config.NUMBA_NUM_THREADS))  # pyright: ignore
+        numba.set_num_threads(min(int(asked), numba.config.NUMBA_NUM_THREADS))

@@ -158,7 +158,7 @@ def _listening() -> Iterator[list[str]]:
     """Collects what Drake warns of, instead of letting it print."""
     heard: list[str] = []
     handler = logging.Handler(logging.WARNING)
-    handler.emit = lambda record: heard.append(record.getMessage())  # type: ignore[method-assign]
+    handler.emit = lambda record: heard.append(record.getMessage())
     logger = logging.getLogger("drake")
     before, passes = logger.level, logger.propagate
     logger.addHandler(handler)

@@ -138,9 +138,11 @@ class DrakeJudge:
 
     def _triangle_distance(self, q: np.ndarray, body: int, *, enough: float) -> float:
         """Distance of one of the robot's bodies to the part's true triangles [m]; -1e-6 where they meet."""
-        plant, context = self._drake.plant, self._drake.context
+        # The stubs of pydrake know no arrays.
+        plant: Any = self._drake.plant
+        context = self._drake.context
         plant.SetPositions(context, self._drake.positions(q[None])[0])
-        X_WL = plant.EvalBodyPoseInWorld(context, plant.get_body(BodyIndex(body))).GetAsMatrix4()
+        X_WL: np.ndarray = plant.EvalBodyPoseInWorld(context, plant.get_body(BodyIndex(body))).GetAsMatrix4()
         X_WO = object_poses(self.cell, q[None])[0]
         self._part.setTransform(fcl.Transform(X_WO[:3, :3], X_WO[:3, 3]))
         least = np.inf
@@ -151,7 +153,7 @@ class DrakeJudge:
                 return -1e-6
             least = min(least, fcl.distance(self._part, shape, fcl.DistanceRequest(), fcl.DistanceResult()))
         assert self.cell.part is not None
-        if least >= enough and self.cell.part.closed and self._inside(X_WL, X_WO, body):  # pyright: ignore
+        if least >= enough and self.cell.part.closed and self._inside(X_WL, X_WO, body):
             return -1e-6
         return float(least)
 
@@ -204,8 +206,10 @@ class DrakeJudge:
     def _radii(self) -> dict[int, float]:
         """Greatest distance of a solid's point from the frame of its link, by link 1..6 [m]."""
         drake, cell = self._drake, self.cell
-        plant, context = drake.plant, drake.context
-        plant.SetPositions(context, np.zeros(plant.num_positions()))  # pyright: ignore
+        plant: Any = drake.plant
+        inspector: Any = drake.inspector
+        context = drake.context
+        plant.SetPositions(context, np.zeros(plant.num_positions()))
         frames = link_poses(cell, np.zeros((1, 7)))[0]
         joints = [plant.GetJointByName(n) for n in cell.settings.robot.joints]
         moved = [set(plant.GetBodiesKinematicallyAffectedBy([j.index()])) for j in joints]
@@ -216,8 +220,8 @@ class DrakeJudge:
                 continue
             X_WB = plant.EvalBodyPoseInWorld(context, plant.get_body(index)).GetAsMatrix4()
             for i in plant.GetCollisionGeometriesForBody(plant.get_body(index)):
-                p = (X_WB @ drake.inspector.GetPoseInFrame(i).GetAsMatrix4())[:3, 3]  # pyright: ignore
-                far = float(np.linalg.norm(p - frames[link][:3, 3])) + _radius(drake.inspector.GetShape(i))
+                p = (X_WB @ inspector.GetPoseInFrame(i).GetAsMatrix4())[:3, 3]
+                far = float(np.linalg.norm(p - frames[link][:3, 3])) + _radius(inspector.GetShape(i))
                 radii[link] = max(radii.get(link, 0.0), far)
         return radii
 
@@ -275,7 +279,8 @@ def _hull(shape: Any) -> tuple[np.ndarray, np.ndarray]:
 def _for_fcl(inspector: SceneGraphInspector, geometry: GeometryId) -> tuple[Any, np.ndarray]:
     """A solid for FCL, and its pose in its body, shape (4, 4)."""
     shape: Any = inspector.GetShape(geometry)
-    X_BG = inspector.GetPoseInFrame(geometry).GetAsMatrix4()
+    pose: Any = inspector.GetPoseInFrame(geometry)
+    X_BG: np.ndarray = pose.GetAsMatrix4()
     if isinstance(shape, Box):
         solid = fcl.Box(*shape.size())
     elif isinstance(shape, Cylinder):
@@ -288,7 +293,7 @@ def _for_fcl(inspector: SceneGraphInspector, geometry: GeometryId) -> tuple[Any,
         solid.beginModel(len(points), len(triangles))
         solid.addSubModel(points, triangles)
         solid.endModel()
-    return fcl.CollisionObject(solid, fcl.Transform()), X_BG  # pyright: ignore
+    return fcl.CollisionObject(solid, fcl.Transform()), X_BG
 
 
 def _winding(part: Any, p: np.ndarray) -> float:

@@ -123,7 +123,8 @@ class SlackPlant:
             if positions.dtype != object:
                 return cost(np.asarray(positions, dtype=float)[order])[0]
             value, slope = cost(ExtractValue(positions).ravel()[order])
-            return AutoDiffXd(value, slope @ ExtractGradient(positions)[order])  # pyright: ignore
+            gradient: Any = slope @ ExtractGradient(positions)[order]
+            return AutoDiffXd(value, gradient)
 
         ik.prog().AddCost(evaluated, ik.q())
         return self.configuration(self._result(ik, self.positions(seed), 30).GetSolution(ik.q()))
@@ -156,9 +157,11 @@ class SlackPlant:
 
     def _result(self, ik: Any, start: np.ndarray, iterations: int) -> Any:
         """SNOPT's answer; it stops by work done, not by time."""
-        solver, options = SnoptSolver(), SolverOptions()
+        # The stubs of pydrake know no arrays.
+        solver: Any = SnoptSolver()
+        options = SolverOptions()
         options.SetOption(solver.solver_id(), "Major iterations limit", iterations)
-        return solver.Solve(ik.prog(), start, options)  # pyright: ignore
+        return solver.Solve(ik.prog(), start, options)
 
     @property
     def order(self) -> np.ndarray:

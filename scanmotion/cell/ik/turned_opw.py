@@ -8,11 +8,9 @@ brings the flange to the pose by the arm's own kinematics, within 1e-9; no branc
 from dataclasses import dataclass
 
 import numpy as np
-from py_opw_kinematics import KinematicModel
-from py_opw_kinematics import Robot as OpwRobot
 
 from scanmotion.cell.arm.robot import Robot, Solved, arm_jacobian, arm_poses, clean_angle, inverse_poses
-from scanmotion.cell.ik.opw import OpwArm
+from scanmotion.cell.ik.opw import OpwArm, opw_poses, opw_solver
 from scanmotion.core.support.streams import fixed_stream
 
 _SQUARE = 1e-4
@@ -146,14 +144,14 @@ def _checked(
     sign: np.ndarray,
 ) -> TurnedArm | None:
     """The solver, where its kinematics are the arm's."""
-    solver = OpwRobot(KinematicModel(**lengths), degrees=False)  # pyright: ignore[reportArgumentType]
+    solver = opw_solver(lengths, np.zeros(6), (False,) * 6)
     X_BA = np.eye(4)
     X_BA[:3, :3], X_BA[:3, 3] = R_BA, origin
     X_AB = inverse_poses(X_BA)
-    zero = np.array(solver.forward((0.0,) * 6).as_matrix())  # pyright: ignore
+    zero = opw_poses(solver, np.zeros((1, 6)))[0]
     X_FG = inverse_poses(X_AB @ arm_poses(robot, up[None])[0, 6] @ robot.X_6F) @ zero
     theta = fixed_stream("turned_opw_check").uniform(-2, 2, (6, 6))
-    got = np.array([solver.forward(tuple(row)).as_matrix() for row in theta])
+    got = opw_poses(solver, theta)
     true = X_AB @ arm_poses(robot, up + sign * theta)[:, 6] @ robot.X_6F @ X_FG
     off = float(np.abs(got - true).max())
     if off > 100 * _SQUARE:
