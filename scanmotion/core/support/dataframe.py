@@ -1,5 +1,6 @@
 """Tables for those who have pandas; nothing here needs it otherwise."""
 
+import importlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,7 +17,7 @@ def dataframe(columns: Mapping[str, Any]) -> Any:
         InputError: pandas is not installed.
     """
     try:
-        import pandas
+        pandas = importlib.import_module("pandas")
     except ImportError:
         raise InputError("to_dataframe needs pandas: pip install pandas") from None
     return pandas.DataFrame(dict(columns))
