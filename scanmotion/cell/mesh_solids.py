@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from scanmotion.cell.arm.robot import Body
-from scanmotion.cell.arm.robot_solids import hull_body
+from scanmotion.cell.arm.robot_solids import MOST_M, hull_body
 from scanmotion.cell.arm.urdf import mesh_from
 from scanmotion.core.errors import CellError
 from scanmotion.geometry.convex import convex_pieces
@@ -73,6 +73,10 @@ def mesh_solid(
     except CellError as error:
         raise CellError(str(error).partition(": ")[2] if error.key else str(error), key=key) from None
     vertices = vertices * scale
+    size = float(np.ptp(vertices, axis=0).max())
+    if size > MOST_M:
+        hint = "; is it in millimetres? unit: mm" if unit == "m" else ""
+        raise CellError(f"{path.name}: a mesh of {size:.0f} m{hint}", key=key)
     solid = MeshSolid(
         name=name, link=link, file=f"{file}{path.suffix.lower()}", data=data, scale=scale, X_LM=X_LM
     )
