@@ -13,4 +13,4 @@ from numba import config, njit, prange
 __all__ = ["njit", "prange"]
 
 if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
-    config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]  # type: ignore[attr-defined]
+    config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]

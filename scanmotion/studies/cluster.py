@@ -9,6 +9,7 @@ import io
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -157,14 +158,19 @@ def run_on_worker(case: Case, keep_in: str | None) -> CaseRow:
 
     _threads_of_worker()
     path = Path(get_worker().local_directory) / "scanmotion-parts" / f"{case.part_hash}.npz"
+    return row_of(case, _part_in(path), keep_in=None if keep_in is None else Path(keep_in))
+
+
+@lru_cache(maxsize=1)
+def _part_in(path: Path) -> Part:
+    """The part that a worker holds on its disk; cases come part by part, so the last one is kept at hand."""
     with np.load(path, allow_pickle=False) as file:
-        part = Part(
+        return Part(
             name=str(file["name"]),
             vertices=file["vertices"],
             triangles=file["triangles"],
             closed=bool(file["closed"]),
         )
-    return row_of(case, part, keep_in=None if keep_in is None else Path(keep_in))
 
 
 def _threads_of_worker() -> None:
@@ -173,4 +179,4 @@ def _threads_of_worker() -> None:
 
     asked = os.environ.get("OMP_NUM_THREADS", "")
     if asked.isdigit() and int(asked) > 0:
-        numba.set_num_threads(min(int(asked), numba.config.NUMBA_NUM_THREADS))  # pyright: ignore
+        numba.set_num_threads(min(int(asked), numba.config.NUMBA_NUM_THREADS))
