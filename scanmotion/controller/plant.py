@@ -1,7 +1,7 @@
 """Arm and table in Drake's Simulator behind position control: how far they lag behind what they are told.
 
 Assumptions: nothing touches; rigid links with the masses of the URDF, gravity balanced, each joint under
-computed torque of the bandwidth stated below; friction, elasticity, dead time and the drives' limits are left out.
+computed torque of the bandwidth stated below; friction, elasticity, dead time and drives' limits left out.
 """
 
 from typing import Any
