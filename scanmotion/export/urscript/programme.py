@@ -305,7 +305,8 @@ def _table(job: ExportJob) -> str:
         )
         lines.append(f"Way.Number_of_pairs := {len(knots) - 1};")
         for k, (a, b) in enumerate(pairwise(knots), 1):
-            lines.append(f"Way.MC_TP_Array[{k}].delta_time := T#{round(float(grid[b] - grid[a]) * 1e3) * slow}ms;")
+            milliseconds = round(float(grid[b] - grid[a]) * 1e3) * slow
+            lines.append(f"Way.MC_TP_Array[{k}].delta_time := T#{milliseconds}ms;")
             lines.append(f"Way.MC_TP_Array[{k}].position := {deg[b, 0] + 0.0:.5f};")
     states = TABLE_STATES.format(
         lag=LAG_MS, near=f"{s.start_tolerance_deg:g}", slow=f"{TABLE_BACK_DEG_S:.1f}",
