@@ -40,8 +40,8 @@ obstacles:
 ```
 
 Planner and Drake keep clear of convex pieces that hold each separate body of the file; the judge looks at its
-triangles, which stand in the plan's folder. What is closed round a hollow in one piece, such as a fence of one
-body round the cell, counts as filled: give it panel by panel, or as separate bodies.
+triangles, which stand in the plan's folder. What is closed round a hollow in one piece, such as a fence of
+one body round the cell, counts as filled: give it panel by panel, or as separate bodies.
 
 ## Choosing a scanner
 
