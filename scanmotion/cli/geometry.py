@@ -41,7 +41,7 @@ def inspect(
     units: Annotated[
         str, typer.Option("--units", help="Unit of the file; what it states, else mm unless its size says m.")
     ] = "",
-    up: Up = "+z",
+    up: Up = "",
     picture: Annotated[
         Path | None,
         typer.Option("--picture", help="Write six views of it, .png or .html.", rich_help_panel=OUT),
@@ -127,7 +127,7 @@ def holes(
     units: Annotated[
         str, typer.Option("--units", help="Unit of the file; what it states, else mm unless its size says m.")
     ] = "",
-    up: Up = "+z",
+    up: Up = "",
     mode: Mode = "default",
     out: Annotated[
         Path | None,
@@ -215,7 +215,7 @@ def viewpoints(
     part: PartFile = None,
     scan: ScanFile = None,
     units: Units = "",
-    up: Up = "+z",
+    up: Up = "",
     place: Place = "",
     robot: Robot = None,
     cell: CellFile = None,
