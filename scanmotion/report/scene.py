@@ -64,8 +64,8 @@ def live_scene(plan: Plan) -> Meshcat:
     else:
         _path(meshcat, plan.cell, plan.trajectory)
         _record(meshcat, plan, plan.trajectory, bodies, appearing)
-    eye, target = views_of(plan).object_view
-    meshcat.SetCameraPose(eye, target)
+    pose: Any = views_of(plan).object_view
+    meshcat.SetCameraPose(*pose)
     return meshcat
 
 
