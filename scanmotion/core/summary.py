@@ -199,6 +199,14 @@ class HelixSummary(Open):
     note: str
 
 
+class PairSummary(Open):
+    """Two solids or links that are not held apart, and why."""
+
+    a: str
+    b: str
+    reason: str
+
+
 class DrakeSummary(Open):
     """How much of the motion Drake checked, and how."""
 
@@ -206,6 +214,8 @@ class DrakeSummary(Open):
     way_m: Real
     by_triangles: Count
     findings: Count
+    not_held: list[PairSummary] = []
+    """Every pair that Drake left out, by its own list."""
 
 
 class ReadSummary(Open):

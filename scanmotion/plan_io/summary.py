@@ -17,6 +17,7 @@ from scanmotion.core.summary import (
     HelixSummary,
     LeftOut,
     MarginsSummary,
+    PairSummary,
     PatchSummary,
     RoundSummary,
     Summary,
@@ -133,6 +134,7 @@ def _drake(word: LastWord) -> DrakeSummary:
     return DrakeSummary(
         checked=word.checked, way_m=round(word.way_m, 3), by_triangles=word.by_triangles,
         findings=len(word.findings),
+        not_held=[PairSummary(a=pair.a, b=pair.b, reason=pair.reason) for pair in word.not_held],
     )  # fmt: skip
 
 

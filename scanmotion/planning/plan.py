@@ -14,7 +14,7 @@ from scanmotion.core.finding import Finding
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.summary import NOT_WORTH, Summary
 from scanmotion.core.trajectory import Trajectory, joined
-from scanmotion.core.viewpoint import Viewpoint
+from scanmotion.core.viewpoint import Viewpoints
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.segment import Segment
 from scanmotion.planning.steps.helices import Joining
@@ -96,9 +96,9 @@ class Plan:
         return f"<table>{rows}</table>"
 
     @property
-    def viewpoints(self) -> tuple[Viewpoint, ...]:
+    def viewpoints(self) -> Viewpoints:
         """Every viewpoint that was asked for, served or not, in order."""
-        return tuple(r.viewpoint for item in self.segments for r in item.reaches)
+        return Viewpoints(r.viewpoint for item in self.segments for r in item.reaches)
 
     @property
     def left_out(self) -> tuple[tuple[str, str], ...]:

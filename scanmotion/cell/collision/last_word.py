@@ -2,7 +2,8 @@
 
 Guarantee: where nothing is found, arm and tool keep every clearance less `TOLERANCE_M`, and touch nothing,
 at each written sample and at each instant between two of them, with the joints moving evenly in between. It
-holds for the solids as Drake's parser reads them and for the true triangles of the part.
+holds for the solids as Drake's parser reads them and for the true triangles of the part, for every pair but
+those in `LastWord.not_held`; which those are is worked out by Drake, not taken from the planner.
 
 How: the motion is cut where something can have moved by `COARSE_M` relative to something else, in metres, not
 in radians. There Drake's SceneGraphCollisionChecker asks for the clearance and half a step besides, so that
@@ -22,6 +23,7 @@ from pydrake.common import Parallelism
 from pydrake.geometry import Box, Cylinder, GeometryId, SceneGraphInspector, Sphere
 from pydrake.multibody.tree import BodyIndex
 
+from scanmotion.cell.collision.drake_pairs import NotHeld, not_held
 from scanmotion.cell.drake_scene import DrakeCell
 from scanmotion.cell.kinematics import flange_poses, link_poses, object_poses
 from scanmotion.cell.model import Cell
@@ -52,6 +54,8 @@ class LastWord:
     """Length of the way of the fastest point of robot and part [m]."""
     by_triangles: int
     """How many of the configurations the part's hull was too near to, so that its triangles decided."""
+    not_held: tuple[NotHeld, ...] = ()
+    """Every pair that Drake did not hold apart, with the reason."""
 
 
 def last_word(cell: Cell, trajectory: Trajectory) -> LastWord:
@@ -73,7 +77,9 @@ class DrakeJudge:
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
-        self._drake = DrakeCell(cell, hull=True)
+        self._drake = DrakeCell(cell, hull=True, own_pairs=True)
+        self.not_held = not_held(cell, self._drake)
+        self._drake.leave_out([ids for pair in self.not_held for ids in pair.ids])
         process = cell.settings.process
         self._asked = max(process.clearance_m - TOLERANCE_M, FINE_M / 2)
         self._asked_self = max(process.self_clearance_m - TOLERANCE_M, FINE_M / 2)
@@ -106,8 +112,9 @@ class DrakeJudge:
             _finding(*item) for item in sorted(worst.items(), key=lambda item: (item[1][0], item[0]))
         )
         return LastWord(
-            findings=findings, checked=checked, way_m=float(way[-1]), by_triangles=self._by_triangles
-        )
+            findings=findings, checked=checked, way_m=float(way[-1]), by_triangles=self._by_triangles,
+            not_held=self.not_held,
+        )  # fmt: skip
 
     def _free(self, q: np.ndarray, to_world: float, to_self: float) -> np.ndarray:
         """Whether Drake finds these clearances kept in each row of q (n, 7), the part as its hull."""

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from scanmotion.cell.arm.robot import Body
+from scanmotion.cell.collision.near_tables import by_tables, near_tables, way_to_blocked
 from scanmotion.cell.collision.pairs import ignored, on_floor
 from scanmotion.cell.collision.shapes import beyond, box_of
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
@@ -80,6 +81,10 @@ def filter_from(
     of = {id(b): n for n, b in enumerate(robot)}
     links = np.array([b.link for b in robot])
     pairs = ~ignored(cell)[[of[id(b)] for b in moving]] & (groups[:, None] > links)
+    tabled = np.array([[by_tables(low, high) for low in robot] for high in moving])
+    near = [(robot[b], moving[g]) for g, b in np.argwhere(pairs & tabled)]
+    reach = _reach(cell, spheres, np.repeat(groups, np.diff(starts)))
+    tables = near_tables(cell, near, cell.settings.process.self_clearance_m, reach)
     return Filter(
         chain=(
             np.ascontiguousarray(cell.robot.X_PJ), np.ascontiguousarray(cell.robot.axes),
@@ -88,11 +93,12 @@ def filter_from(
         spheres=(spheres, starts, bounds, groups, np.array([on_floor(cell, b) for b in moving])),
         boxes=(
             links, np.array([b.X_LG for b in robot]),
-            np.array([box_of(b) for b in robot]), pairs, float(self_clearance),
+            np.array([box_of(b) for b in robot]), pairs & ~tabled, float(self_clearance),
+            tables.values, tables.joints,
         ),
         world=(*_world_arrays(cell), float(clearance)),
         grid=_grid(cell) if grid is None else (*grid[:4], cell.X_WT @ cell.X_TO),
-        reach=_reach(cell, spheres, np.repeat(groups, np.diff(starts))),
+        reach=reach,
     )  # fmt: skip
 
 
@@ -104,7 +110,7 @@ def _bounding(spheres: np.ndarray) -> np.ndarray:
 
 
 def _world_arrays(cell: Cell) -> tuple[np.ndarray, np.ndarray]:
-    """Cylinders (x, y, z, radius, half length) and boxes (pose inverse and half sides) in W."""
+    """Cylinders (x, y, z, radius, half length) and boxes (pose inverse, half sides, 1 where exact) in W."""
     cylinders, boxes = [], []
     for body in cell.bodies:
         if body.link not in (TABLE, WORLD):
@@ -113,8 +119,9 @@ def _world_arrays(cell: Cell) -> tuple[np.ndarray, np.ndarray]:
         if body.shape == "cylinder":
             cylinders.append([*X_WG[:3, 3], body.size[0], body.size[1] / 2])
         else:
-            boxes.append(np.concatenate([np.linalg.inv(X_WG)[:3].ravel(), box_of(body)]))
-    return np.array(cylinders).reshape(-1, 5), np.array(boxes).reshape(-1, 15)
+            exact = [float(body.shape == "box")]
+            boxes.append(np.concatenate([np.linalg.inv(X_WG)[:3].ravel(), box_of(body), exact]))
+    return np.array(cylinders).reshape(-1, 5), np.array(boxes).reshape(-1, 16)
 
 
 def signed_distance_grid(part: Part, spacing: float = GRID_M) -> tuple[np.ndarray, np.ndarray]:
@@ -232,7 +239,7 @@ def _outside(px, py, pz, floor, cos, sin, world, grid):
         d = min(d, _cylinder(px, py, pz, cylinders[n]))
     for n in range(len(boxes)):
         if n > 0 or floor:
-            d = min(d, _box(px, py, pz, boxes[n, :12], boxes[n, 12:]))
+            d = min(d, _box(px, py, pz, boxes[n, :12], boxes[n, 12:15]))
     return min(d, _part(px, py, pz, cos, sin, grid)) - clearance
 
 
@@ -243,14 +250,16 @@ def margin(q, chain, spheres, boxes, world, grid, enough):
     link_frames(q, chain, X)
     cos, sin = np.cos(q[6]), np.sin(q[6])
     points, starts, bounds, groups, floored = spheres
-    box_link, box_X, box_half, pairs, self_clearance = boxes
+    box_link, box_X, box_half, pairs, self_clearance, tables, table_joints = boxes
+    best = way_to_blocked(q, tables, table_joints, enough)
+    if best < 0:
+        return best
     T = np.empty((len(box_link), 12))
     middle = np.empty((len(box_link), 4))
     for b in range(len(box_link)):
         _box_frame(X[box_link[b]], box_X[b], T[b])
         middle[b, 0], middle[b, 1], middle[b, 2] = _placed(X[box_link[b]], box_X[b, :3, 3])
         middle[b, 3] = np.sqrt(box_half[b, 0] ** 2 + box_half[b, 1] ** 2 + box_half[b, 2] ** 2)
-    best = enough
     for g in range(len(groups)):
         link = groups[g]
         floor = floored[g]
