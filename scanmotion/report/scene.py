@@ -77,8 +77,10 @@ def _columns(rows: np.ndarray, kind: Any = float) -> Any:
     return np.asfortranarray(rows.T.astype(kind))
 
 
-def _pose(X: Any) -> RigidTransform:
-    return RigidTransform(X)
+def _pose(X: np.ndarray) -> RigidTransform:
+    # The stubs of pydrake know no arrays.
+    told: Any = X
+    return RigidTransform(told)
 
 
 def _mesh(meshcat: Meshcat, path: str, mesh: Mesh, colour: str, alpha: float = 1.0) -> None:
