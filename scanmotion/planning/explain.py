@@ -47,7 +47,8 @@ def explained(plan: Plan) -> tuple[Stage, ...]:
     by_stage: dict[str, list[tuple[str, str]]] = {}
     for name, reason in reasons.items():
         by_stage.setdefault(stage_of(reason), []).append((name, reason))
-    out, count = [], len(known)
+    out: list[Stage] = []
+    count = len(known)
     for name in (_CANDIDATES, *(stage for stage, _ in _STAGES)):
         lost = by_stage.get(name, [])
         out.append(
