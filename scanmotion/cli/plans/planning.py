@@ -32,7 +32,7 @@ from scanmotion.cli.inputs import (  # fmt: skip
     say_read,
 )
 from scanmotion.cli.plans.complete import is_complete, say_answer, write_answer
-from scanmotion.cli.plans.explaining import explanation, say_explained
+from scanmotion.cli.plans.explaining import say_explained
 from scanmotion.cli.plans.pages import pages
 from scanmotion.cli.plans.placing import New, own_views_from, placing_from, plan_placed, say_placed
 from scanmotion.cli.plans.summarising import print_summary
@@ -237,12 +237,7 @@ def plan(
     with progress_bar(quiet=quiet or json) as progress:
         made = request.planned(progress)
         made = replace(made, meta={**made.meta, **noted})
-        told = explanation(made) if explain else []
-        if explain and not json:
-            # Before anything is written: an empty plan ends there.
-            say_explained(made)
-        if explain and json and made.trajectory is None and not is_complete(made):
-            say_json({"explain": told})
+        told = say_explained(made, json=json) if explain else {}
         if is_complete(made):
             write_answer(made, out, html=html)
         else:
@@ -254,7 +249,7 @@ def plan(
         return OK
     summary = read_summary(out)
     if json:
-        say_json(summary.document() | ({"explain": told} if explain else {}))
+        say_json(summary.document() | told)
     elif not quiet:
         print_summary(summary, out, html=html)
     return OK if summary.passes else CHECK_FAILED
