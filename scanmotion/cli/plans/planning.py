@@ -32,6 +32,7 @@ from scanmotion.cli.inputs import (  # fmt: skip
     say_read,
 )
 from scanmotion.cli.plans.complete import is_complete, say_answer, write_answer
+from scanmotion.cli.plans.explaining import say_explained
 from scanmotion.cli.plans.pages import pages
 from scanmotion.cli.plans.placing import New, own_views_from, placing_from, plan_placed, say_placed
 from scanmotion.cli.plans.summarising import print_summary
@@ -183,6 +184,14 @@ def plan(
             rich_help_panel=OUT,
         ),
     ] = None,
+    explain: Annotated[
+        bool,
+        typer.Option(
+            "--explain",
+            help="Say which stage lost which viewpoints: candidates, reach, order, way there, worth, budget.",
+            rich_help_panel=OUT,
+        ),
+    ] = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:
@@ -199,7 +208,7 @@ def plan(
     placing = placing_from(placements, forbid)
     only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
     own = own_views_from(viewpoints, order, placements=placements, keep=keep, motion=motion)
-    subject = answer = None
+    subject = None
     check_budget(budget)
     noted = meta_from(meta or ())
     from scanmotion.planning.options import PlanOptions
@@ -228,18 +237,19 @@ def plan(
     with progress_bar(quiet=quiet or json) as progress:
         made = request.planned(progress)
         made = replace(made, meta={**made.meta, **noted})
+        told = say_explained(made, json=json) if explain else {}
         if is_complete(made):
-            answer = write_answer(made, out, html=html)
+            write_answer(made, out, html=html)
         else:
             made.save(out, pages=partial(pages, progress=progress) if html else None)
     if subject is not None:
         say_read(subject, quiet=quiet or json)
-    if answer is not None:
-        say_answer(answer, out, html=html, quiet=quiet, json=json)
+    if is_complete(made):
+        say_answer(made, out, html=html, quiet=quiet, json=json)
         return OK
     summary = read_summary(out)
     if json:
-        say_json(summary.document())
+        say_json(summary.document() | told)
     elif not quiet:
         print_summary(summary, out, html=html)
     return OK if summary.passes else CHECK_FAILED
