@@ -10,7 +10,7 @@ from scanmotion.judge.programme.world import Run, ScriptedScanner
 OFF_START_DEG = 2.0
 """Where the programme must not begin to move: this far from the start."""
 BACK_MORE_DEG = 0.1
-"""How much farther from the path the way back after a fault may be: from where the brakes hold, one line leads
+"""How much farther from the path the way back after a fault may be: from where the brakes hold one line leads
 to the last counted point."""
 _STOPPED_S = 1.0
 """So long after a fault of its table an arm stands still."""
