@@ -160,10 +160,10 @@ def _counted(robot: Robot, low: list[Body], high: list[Body], clearance: float) 
     for n in range(count):
         met = touched = False
         for k, (X, close, first, second) in enumerate(pairs):
-            if not (close[n] and near(first, second, X[n], clearance)):
+            if not (close[n] and solids_near(first, second, X[n], clearance)):
                 continue
             met = True
-            touched = touched or near(first, second, X[n], min(clearance, GUIDED_M))
+            touched = touched or solids_near(first, second, X[n], min(clearance, GUIDED_M))
             if touched:
                 # What touches once touches again soon: it is asked first from now on.
                 pairs.insert(0, pairs.pop(k))
@@ -202,7 +202,9 @@ def poses_between(robot: Robot, low: Body, high: Body, q: np.ndarray) -> np.ndar
     return X @ high.X_LG
 
 
-def near(first: fcl.CollisionObject, second: fcl.CollisionObject, X: np.ndarray, clearance: float) -> bool:
+def solids_near(
+    first: fcl.CollisionObject, second: fcl.CollisionObject, X: np.ndarray, clearance: float
+) -> bool:
     """Whether the second object, put at X, is nearer to the first than a clearance."""
     second.setTransform(fcl.Transform(np.ascontiguousarray(X[:3, :3]), np.ascontiguousarray(X[:3, 3])))
     if fcl.collide(first, second, fcl.CollisionRequest(), fcl.CollisionResult()):
