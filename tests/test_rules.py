@@ -64,7 +64,7 @@ def test_no_type_is_waved_through():
 
 MANY = {
     "cell/arm/robot_file.py": {"_robot"}, "cell/arm/urdf.py": {"_replace"}, "cell/suggest.py": {"_yaml"},
-    "cell/mesh_solids.py": {"mesh_solid"},
+    "cell/mesh_solids.py": {"mesh_solid"}, "controller/export_plan.py": {"export_plan"},
     "job/flow.py": {"start_job"}, "job/simulate.py": {"write_simulated"},
     "judge/contact.py": {"_judge_pair"}, "judge/limits.py": {"_over"},
     "motion/continuous/choose.py": {"__init__"}, "motion/continuous/nodes.py": {"nodes_from"},

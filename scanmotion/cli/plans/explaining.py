@@ -1,7 +1,7 @@
 """`scanmotion plan --explain`: which stage lost what."""
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from scanmotion.cli.app import print_table, say_json
 from scanmotion.cli.plans.complete import is_complete
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from scanmotion.planning.plan import Plan
 
 
-def say_explained(made: "Plan", *, json: bool) -> dict[str, Any]:
+def say_explained(made: "Plan", *, json: bool) -> dict[str, object]:
     """Says which stage lost what, before anything is written: an empty plan ends there.
 
     Args:
@@ -23,7 +23,7 @@ def say_explained(made: "Plan", *, json: bool) -> dict[str, Any]:
     from scanmotion.planning.explain import explained
 
     stages = explained(made)
-    told = {"explain": [asdict(stage) for stage in stages]}
+    told: dict[str, object] = {"explain": [asdict(stage) for stage in stages]}
     if json:
         if made.trajectory is None and not is_complete(made):
             say_json(told)
