@@ -22,6 +22,7 @@ from scanmotion.cli.inputs import (  # fmt: skip
     Robot,
     ScanFile,
     Seed,
+    Threads,
     Units,
     Up,
     cell_from,
@@ -173,6 +174,7 @@ def plan(
             rich_help_panel=OUT,
         ),
     ] = None,
+    threads: Threads = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:

@@ -120,6 +120,7 @@ def placed_nodes(model: MoveModel, q: np.ndarray | PlacedNodes) -> PlacedNodes:
     if isinstance(q, PlacedNodes):
         return q
     q = np.ascontiguousarray(np.atleast_2d(q), dtype=float)
+    q = q if q.flags.writeable else q.copy()  # a read-only one would have the kernels compiled anew
     p, change = _tangents(model.axes, model.points, model.p_WS, q)
     return PlacedNodes(q, p, change, _branches(model.axes, model.points, model.p_WC, q))
 

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.threads import allowed_threads
 from scanmotion.geometry.jit import njit, prange
 
 _BAND = 4
@@ -122,7 +123,9 @@ class Space:
     def _within(self, keys: np.ndarray, tree: cKDTree, cells: float) -> np.ndarray:
         """Which cells lie within so many cells of the tree's points, shape (n,)."""
         places = (_cells(keys) + 0.5) * self._edge
-        return tree.query(places, distance_upper_bound=cells * self._edge, workers=-1)[0] < np.inf
+        return (
+            tree.query(places, distance_upper_bound=cells * self._edge, workers=allowed_threads())[0] < np.inf
+        )
 
     def _looked_through(self, keys: np.ndarray) -> np.ndarray:
         """Which cells, ascending keys (n,), some frame has looked through; each frame is asked once."""

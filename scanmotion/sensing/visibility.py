@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.threads import allowed_threads
 from scanmotion.geometry.jit import njit, prange
 from scanmotion.geometry.se3 import turns_about_z
 
@@ -55,7 +56,7 @@ def scene_from(
     """
     import open3d as o3d
 
-    raycaster = o3d.t.geometry.RaycastingScene()
+    raycaster = o3d.t.geometry.RaycastingScene(nthreads=allowed_threads())
     parts = [(np.asarray(vertices), np.asarray(triangles))]
     if table_radius is not None:
         parts.append(_disc(table_radius, table_z - 1e-4))
@@ -111,12 +112,14 @@ def free_lines(scene: Scene, origins: np.ndarray, targets: np.ndarray) -> np.nda
         o, t = origins[first : first + _CHUNK], targets[first : first + _CHUNK]
         line = t - o
         rays = np.concatenate([o, line], axis=1).astype(np.float32)
-        free = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=1.0).numpy()
+        free = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=1.0, nthreads=allowed_threads()).numpy()
         if scene.guess is not None:
             length = np.maximum(np.linalg.norm(line, axis=1, keepdims=True), GUESSED)
             start = o + GUESSED / length * line
             rays = np.concatenate([start, t - start], axis=1).astype(np.float32)
-            free &= ~scene.guess.test_occlusions(rays, tnear=0.0, tfar=1.0).numpy()
+            free &= ~scene.guess.test_occlusions(
+                rays, tnear=0.0, tfar=1.0, nthreads=allowed_threads()
+            ).numpy()
         out[first : first + _CHUNK] = free
     return out
 
@@ -207,11 +210,11 @@ def axis_depths(scene: Scene, X_OS: np.ndarray) -> np.ndarray:
     """
     X_OS = np.asarray(X_OS, dtype=float).reshape(-1, 4, 4)
     rays = np.concatenate([X_OS[:, :3, 3], X_OS[:, :3, 2]], axis=1).astype(np.float32)
-    hits = scene.raycaster.cast_rays(rays)
+    hits = scene.raycaster.cast_rays(rays, nthreads=allowed_threads())
     depth = hits["t_hit"].numpy().astype(float)
     surface = hits["geometry_ids"].numpy() == SURFACE
     if scene.guess is not None:
-        guess = scene.guess.cast_rays(rays)["t_hit"].numpy().astype(float)
+        guess = scene.guess.cast_rays(rays, nthreads=allowed_threads())["t_hit"].numpy().astype(float)
         surface |= guess < depth
         depth = np.minimum(depth, guess)
     return np.where(surface, depth, np.inf)
@@ -351,7 +354,11 @@ def _visible_block(
     )
     start = points + _SKIN * normals
     rays = np.concatenate([np.broadcast_to(start[:, None], u.shape), u], axis=2).reshape(-1, 6)
-    hit = scene.raycaster.cast_rays(rays.astype(np.float32))["t_hit"].numpy().reshape(u.shape[:2])
+    hit = (
+        scene.raycaster.cast_rays(rays.astype(np.float32), nthreads=allowed_threads())["t_hit"]
+        .numpy()
+        .reshape(u.shape[:2])
+    )
     found = np.zeros(len(points), bool)
     near, far = scanner.range
     for distance in (near + 1e-3, (near + far) / 2, far - 1e-3):

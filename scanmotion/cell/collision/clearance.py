@@ -254,4 +254,6 @@ def _near_shape(body: Body) -> Any:
 
 
 def _rows(q: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(np.atleast_2d(np.asarray(q, dtype=float)))
+    """Rows (n, 7), contiguous and writable: kernels are compiled anew for any other kind."""
+    rows = np.ascontiguousarray(np.atleast_2d(np.asarray(q, dtype=float)))
+    return rows if rows.flags.writeable else rows.copy()

@@ -16,6 +16,7 @@ from scanmotion.cell.collision.shapes import beyond, box_of
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 from scanmotion.cell.robot import Body
 from scanmotion.core.part import Part
+from scanmotion.core.threads import allowed_threads
 from scanmotion.geometry.chain import link_frames
 
 _CELL_M = (0.30, 0.24, 0.17, 0.14, 0.09, 0.08, 0.06, 0.05)
@@ -80,10 +81,11 @@ def filter_from(
     of = {id(b): n for n, b in enumerate(robot)}
     links = np.array([b.link for b in robot])
     pairs = ~ignored(cell)[[of[id(b)] for b in moving]] & (groups[:, None] > links)
+    # Copies where a cell is frozen or not yet: kernels would be compiled for either kind.
     return Filter(
         chain=(
             np.ascontiguousarray(cell.robot.X_PJ), np.ascontiguousarray(cell.robot.axes),
-            np.ascontiguousarray(cell.X_WB), np.ascontiguousarray(cell.robot.X_6F),
+            np.array(cell.X_WB, order="C"), np.ascontiguousarray(cell.robot.X_6F),
         ),
         spheres=(spheres, starts, bounds, groups, np.array([on_floor(cell, b) for b in moving])),
         boxes=(
@@ -121,7 +123,7 @@ def signed_distance_grid(part: Part, spacing: float = GRID_M) -> tuple[np.ndarra
     """Signed distances to the part's triangles on a grid around it (negative inside) and its origin [m]."""
     import open3d as o3d
 
-    scene = o3d.t.geometry.RaycastingScene()
+    scene = o3d.t.geometry.RaycastingScene(nthreads=allowed_threads())
     vertices: Any = part.vertices.astype(np.float32)
     triangles: Any = part.triangles.astype(np.uint32)
     scene.add_triangles(vertices, triangles)
@@ -130,9 +132,9 @@ def signed_distance_grid(part: Part, spacing: float = GRID_M) -> tuple[np.ndarra
     axes = [low[i] + spacing * np.arange(shape[i]) for i in range(3)]
     points: Any = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).astype(np.float32)
     if part.closed:
-        values = scene.compute_signed_distance(points).numpy()
+        values = scene.compute_signed_distance(points, nthreads=allowed_threads()).numpy()
     else:
-        values = scene.compute_distance(points).numpy()
+        values = scene.compute_distance(points, nthreads=allowed_threads()).numpy()
     return np.ascontiguousarray(values, dtype=np.float32), low
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.part import Part, SurfaceSamples
+from scanmotion.core.threads import allowed_threads
 from scanmotion.planning.plan import Plan
 from scanmotion.report.figures.palette import HIDDEN, MISSED, SEEN_GLOBAL, SEEN_LOCAL, STATUS_COLOURS, rgb
 
@@ -95,7 +96,7 @@ def picture_of(part: Part, view: View) -> Picture:
 def _cast(part: Part, view: View) -> Picture:
     import open3d as o3d
 
-    scene = o3d.t.geometry.RaycastingScene()
+    scene = o3d.t.geometry.RaycastingScene(nthreads=allowed_threads())
     tensor = o3d.core.Tensor.from_numpy
     scene.add_triangles(tensor(part.vertices.astype(np.float32)), tensor(part.triangles.astype(np.uint32)))
     rows, cols = view.shape
@@ -108,7 +109,7 @@ def _cast(part: Part, view: View) -> Picture:
         + far * view.toward
     )
     rays = np.concatenate([origins, np.broadcast_to(-view.toward, origins.shape)], axis=-1)
-    answer = scene.cast_rays(tensor(rays.astype(np.float32)))
+    answer = scene.cast_rays(tensor(rays.astype(np.float32)), nthreads=allowed_threads())
     t = answer["t_hit"].numpy()
     hit = np.isfinite(t)
     normals = answer["primitive_normals"].numpy()[hit]

@@ -7,6 +7,7 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import HoleError
+from scanmotion.core.threads import allowed_threads
 from scanmotion.sensing.holes.rims import Sampling, sampling_of
 
 UNEVEN = 1.5
@@ -86,7 +87,7 @@ def evened(points: np.ndarray, directions: np.ndarray | None, voxel: float) -> t
     # from the middle outwards the seeds pack closely; copies are gone, so ties are broken by the coordinates
     order = np.lexsort((*points.T, away))
     seeds = order[spread(points, order, APART * voxel)[order]]
-    distance, nearest = cKDTree(points[seeds]).query(points, min(2, len(seeds)), workers=-1)
+    distance, nearest = cKDTree(points[seeds]).query(points, min(2, len(seeds)), workers=allowed_threads())
     distance, nearest = distance.reshape(len(points), -1), nearest.reshape(len(points), -1)
     # between two seeds, as on the grid of a range image, the inner one has it
     tied = distance[:, -1] - distance[:, 0] < 1e-9 * voxel

@@ -14,6 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from scanmotion.core.threads import allowed_threads
 from scanmotion.geometry.jit import njit, prange
 
 CAP = 3.0
@@ -179,7 +180,7 @@ def rim_set(
     """
     points = np.asarray(tree.data)
     n = len(points)
-    rows = tree.query(points[suspects], min(SECOND + 1, n), workers=-1)[1][:, 1:]
+    rows = tree.query(points[suspects], min(SECOND + 1, n), workers=allowed_threads())[1][:, 1:]
     widest, area = _cells(points, normals, suspects, rows, unit, CAP)
     shared, count, toward = _discs(points, normals, suspects, rows, unit, CAP, weak)
     here = np.repeat(suspects, count)

@@ -13,6 +13,7 @@ import numpy as np
 
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.threads import allowed_threads
 from scanmotion.sensing.simulator.captures import (
     Captures,
     ScanErrors,
@@ -218,7 +219,7 @@ def _range_frame(
     rays, column, row = frame_rays(X_OS, columns, rows, low, high)
     if len(rays) == 0:
         return np.zeros(0, np.float32), np.zeros(0, np.float32), column, row, np.zeros((0, 3), np.float32)
-    rays_hit, hit = rays, scene.raycaster.cast_rays(rays)
+    rays_hit, hit = rays, scene.raycaster.cast_rays(rays, nthreads=allowed_threads())
     normals = hit["primitive_normals"].numpy()
     depth = hit["t_hit"].numpy()
     p_OP = X_OS[:3, 3] + scanner.baseline * X_OS[:3, 0]
@@ -233,7 +234,9 @@ def _range_frame(
     doubtful = np.flatnonzero(~lit)
     if len(doubtful):
         rays = shadow[doubtful]
-        lit[doubtful] = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=_SHADOW_END).numpy()
+        lit[doubtful] = ~scene.raycaster.test_occlusions(
+            rays, tnear=0.0, tfar=_SHADOW_END, nthreads=allowed_threads()
+        ).numpy()
     if scanner.mirror > 0:
         lit &= ~_blinding(rays_hit[index], depth[index], normals[index], p_OP, scanner.mirror)
     index, cosine = index[lit], cosine[lit]
