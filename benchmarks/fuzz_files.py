@@ -23,7 +23,7 @@ from test_cloud_dialects import CLOUDS
 from test_fuzz import damaged
 
 from scanmotion.core.errors import PartError
-from scanmotion.geometry.parts import part_from_file
+from scanmotion.geometry.parts.make_part import part_from_file
 
 SECONDS = 20.0
 GIB = 1 << 20

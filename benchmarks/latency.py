@@ -4,11 +4,11 @@ benchmarks/latency.py"""
 import numpy as np
 
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.cell.settings import load_cell
-from scanmotion.geometry.parts import box_part, carving
+from scanmotion.cell.settings.cell import load_cell
+from scanmotion.geometry.parts.make_part import box_part, carving
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.sensing.assess import accuracy
-from scanmotion.sensing.calibration import calibrate, corrected
+from scanmotion.sensing.corrections.calibration import calibrate, corrected
 from scanmotion.sensing.fusion.fuse import fuse
 from scanmotion.sensing.simulator.captures import ScanErrors, captures_from_trajectory
 from scanmotion.sensing.simulator.simulate import simulate

@@ -34,9 +34,9 @@ from scanmotion.cell.build import Cell, build_cell
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.ik.slack_plant import SlackPlant
 from scanmotion.cell.kinematics import branches
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.viewpoint import Viewpoint, look_at
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.motion.reach.find import ReachOptions, reach
 from scanmotion.motion.reach.ik_candidates import presented
 

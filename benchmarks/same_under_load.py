@@ -30,10 +30,10 @@ def hash_of(*arrays: Any) -> str:
 
 def one_run() -> str:
     """Runs the stages once; one line of hashes."""
-    from scanmotion.cell.settings import load_cell
+    from scanmotion.cell.settings.cell import load_cell
     from scanmotion.cell.table_of import table_of
     from scanmotion.cell.view_costs import view_costs
-    from scanmotion.geometry.parts import carving
+    from scanmotion.geometry.parts.make_part import carving
     from scanmotion.sensing.free_space import Space
     from scanmotion.sensing.fusion.fuse import fuse
     from scanmotion.sensing.holes.find import holes_from_cloud

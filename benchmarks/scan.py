@@ -18,7 +18,7 @@ import numpy as np
 
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
-from scanmotion.geometry.parts import part_from_file
+from scanmotion.geometry.parts.make_part import part_from_file
 from scanmotion.sensing.fusion.fuse import fuse
 from scanmotion.sensing.fusion.merge import merged
 from scanmotion.sensing.simulator.captures import Captures, still_captures

@@ -14,9 +14,9 @@ import sys
 import numpy as np
 
 from scanmotion.cell.build import build_cell
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
-from scanmotion.geometry.parts import carving, surface_samples
+from scanmotion.geometry.parts.make_part import carving, surface_samples
 from scanmotion.motion.reach.slack import variants
 from scanmotion.sensing.visibility import scene_from, seen_by_any
 from scanmotion.views.next_best_views import LOCAL_SLACK

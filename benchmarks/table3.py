@@ -20,10 +20,18 @@ from pathlib import Path
 import numpy as np
 
 import scanmotion
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.part import Part
-from scanmotion.geometry.parts import carving, part_from_file
-from scanmotion.planning.comparison import MEANINGS, PAPER_TABLE_3, VARIANTS, Figures, Row, figures, row_from
+from scanmotion.geometry.parts.make_part import carving, part_from_file
+from scanmotion.planning.worth.comparison import (
+    MEANINGS,
+    PAPER_TABLE_3,
+    VARIANTS,
+    Figures,
+    Row,
+    figures,
+    row_from,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "results.md"

@@ -15,7 +15,7 @@ import numpy as np
 
 from scanmotion.cell.build import Cell, build_cell
 from scanmotion.cell.kinematics import scanner_poses, tcp_jacobian
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.tour import Path, Stop, Tour
 from scanmotion.motion.timing.operations import motions, time_plan
 from scanmotion.motion.transit.straight_line import least_seconds, ways

@@ -27,16 +27,16 @@ from timing import HIGH, LOW
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.ik.slack_plant import SlackPlant
-from scanmotion.cell.settings import load_cell
-from scanmotion.motion.timing.speed_profile import (
+from scanmotion.cell.settings.cell import load_cell
+from scanmotion.motion.profile.speed_profile import (
     Derivatives,
     Limits,
     fastest_profile,
     profile_seconds,
     speed_caps,
 )
-from scanmotion.motion.timing.spline import JointSpline
-from scanmotion.motion.timing.toppra_profile import toppra_profile
+from scanmotion.motion.profile.spline import JointSpline
+from scanmotion.motion.profile.toppra_profile import toppra_profile
 from scanmotion.motion.transit.drive import derivatives_on, transit_limits, transit_spline
 
 

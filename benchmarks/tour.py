@@ -18,10 +18,10 @@ import numpy as np
 
 from scanmotion.cell.build import Cell, build_cell
 from scanmotion.cell.kinematics import branches, object_poses
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.viewpoint import Viewpoint, look_at
+from scanmotion.motion.order.salesman.tsp import tour_from_cost
 from scanmotion.motion.order.sequence import sequence
-from scanmotion.motion.order.tsp import tour_from_cost
 from scanmotion.motion.reach.find import Reach
 from scanmotion.motion.transit_cost import move_model, stop_seconds
 

@@ -25,8 +25,8 @@ import numpy as np
 from reach import MANY, ring, ring_cell
 
 from scanmotion.cell.collision.clearance import Clearance
-from scanmotion.motion.order.generalised_tsp import best_states, search
-from scanmotion.motion.order.tsp import TourOptions, tour_from_cost
+from scanmotion.motion.order.salesman.generalised_tsp import best_states, search
+from scanmotion.motion.order.salesman.tsp import TourOptions, tour_from_cost
 from scanmotion.motion.reach.find import reach
 from scanmotion.motion.transit_cost import move_matrix, move_model
 

@@ -23,10 +23,10 @@ from pathlib import Path
 import numpy as np
 
 from scanmotion.cell.collision.clearance import Clearance
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.part import Part
 from scanmotion.core.trajectory import Trajectory
-from scanmotion.geometry.parts import carving, part_from_file
+from scanmotion.geometry.parts.make_part import carving, part_from_file
 from scanmotion.planning.methods import PAPER
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.planning.plan import Plan

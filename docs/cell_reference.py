@@ -6,9 +6,9 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from scanmotion.cell.scanner_presets import scanner_presets
-from scanmotion.cell.settings import CellSettings, ObstacleSettings, settings_from
-from scanmotion.geometry.parts import models_dir
+from scanmotion.cell.settings.cell import CellSettings, ObstacleSettings, settings_from
+from scanmotion.cell.settings.scanner_presets import scanner_presets
+from scanmotion.geometry.parts.make_part import models_dir
 
 HEAD = """# The cell's YAML
 

@@ -7,8 +7,8 @@ import importlib
 import os
 from typing import TYPE_CHECKING, Any
 
-from scanmotion.core.later import defer_functions
-from scanmotion.core.threads import follow_openmp
+from scanmotion.core.support.later import defer_functions
+from scanmotion.core.support.threads import follow_openmp
 
 __version__ = "0.1.0"
 
@@ -21,26 +21,26 @@ defer_functions("open3d.visualization.draw_plotly", ("get_plotly_fig", "draw_plo
 _HOMES = {  # a colon behind a name: the module itself
     "ScanMotionError": "core.errors",
     "Part": "core.part",
-    "part_from": "geometry.part_objects",
-    "part_from_file": "geometry.parts",
-    "box_part": "geometry.parts",
-    "carving": "geometry.parts",
+    "part_from": "geometry.parts.part_objects",
+    "part_from_file": "geometry.parts.make_part",
+    "box_part": "geometry.parts.make_part",
+    "carving": "geometry.parts.make_part",
     "Scanner": "core.scanner",
     "viewpoints": "viewpoints:",
     "Viewpoint": "core.viewpoint",
     "look_at": "core.viewpoint",
-    "load_cell": "cell.settings",
+    "load_cell": "cell.settings.cell",
     "Cell": "cell.model",
     "build_cell": "cell.build",
     "reach": "motion.reach.find",
-    "tour_from_cost": "motion.order.tsp",
+    "tour_from_cost": "motion.order.salesman.tsp",
     "PlanOptions": "planning.pipeline",
     "plan": "planning.pipeline",
     "Plan": "planning.plan",
     "load_plan": "plan_io.load",
     "verify": "judge",
     "export_plan": "export",
-    "compare": "planning.comparison",
+    "compare": "planning.worth.comparison",
     "study": "studies.run",
     "show": "report.scene:",
     "report": "report.page:",
@@ -54,25 +54,25 @@ if TYPE_CHECKING:
     import scanmotion.viewpoints as viewpoints  # noqa: F401
     from scanmotion.cell.build import build_cell as build_cell
     from scanmotion.cell.model import Cell as Cell
-    from scanmotion.cell.settings import load_cell as load_cell
+    from scanmotion.cell.settings.cell import load_cell as load_cell
     from scanmotion.core.errors import ScanMotionError as ScanMotionError
     from scanmotion.core.part import Part as Part
     from scanmotion.core.scanner import Scanner as Scanner
     from scanmotion.core.viewpoint import Viewpoint as Viewpoint
     from scanmotion.core.viewpoint import look_at as look_at
     from scanmotion.export import export_plan as export_plan
-    from scanmotion.geometry.part_objects import part_from as part_from
-    from scanmotion.geometry.parts import box_part as box_part
-    from scanmotion.geometry.parts import carving as carving
-    from scanmotion.geometry.parts import part_from_file as part_from_file
+    from scanmotion.geometry.parts.make_part import box_part as box_part
+    from scanmotion.geometry.parts.make_part import carving as carving
+    from scanmotion.geometry.parts.make_part import part_from_file as part_from_file
+    from scanmotion.geometry.parts.part_objects import part_from as part_from
     from scanmotion.judge import verify as verify
-    from scanmotion.motion.order.tsp import tour_from_cost as tour_from_cost
+    from scanmotion.motion.order.salesman.tsp import tour_from_cost as tour_from_cost
     from scanmotion.motion.reach.find import reach as reach
     from scanmotion.plan_io.load import load_plan as load_plan
-    from scanmotion.planning.comparison import compare as compare
     from scanmotion.planning.pipeline import PlanOptions as PlanOptions
     from scanmotion.planning.pipeline import plan as plan
     from scanmotion.planning.plan import Plan as Plan
+    from scanmotion.planning.worth.comparison import compare as compare
     from scanmotion.studies.run import study as study
 
 

@@ -47,7 +47,7 @@ def rng() -> np.random.Generator:
 def kr240_cell():
     """The built-in cell without a part."""
     from scanmotion.cell.build import build_cell
-    from scanmotion.cell.settings import load_cell
+    from scanmotion.cell.settings.cell import load_cell
 
     return build_cell(load_cell("kr240"))
 
@@ -58,7 +58,7 @@ def pitted_plan():
     from judging import summarised
     from test_plan import TINY, pitted
 
-    from scanmotion.cell.settings import load_cell
+    from scanmotion.cell.settings.cell import load_cell
     from scanmotion.planning.pipeline import PlanOptions, plan
 
     return summarised(plan(pitted(), load_cell("kr240"), options=PlanOptions(seed=5, **TINY)))

@@ -7,7 +7,7 @@ import numpy as np
 from scanmotion.core.summary import Summary
 from scanmotion.core.trajectory import Operation, Trajectory, piece
 from scanmotion.core.viewpoint import Viewpoint, look_at
-from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.plan import Plan
 from scanmotion.planning.segment import segment_from_operations, served_at

@@ -8,9 +8,9 @@ from judged_plan import poses_in_object, station
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.collision.clearance import Clearance
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.tour import Stop, Tour
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.motion.order.helix_choice import joined_stops
 from scanmotion.motion.timing.operations import time_plan
 from scanmotion.motion.transit.plan import transits

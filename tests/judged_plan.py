@@ -15,9 +15,9 @@ from scipy.interpolate import CubicSpline
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.viewpoint import Slack, Viewpoint
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.plan_io.write import plan_files
 
 STANDOFF = 0.6

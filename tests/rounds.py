@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cell.view_costs import view_costs
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
 from scanmotion.core.table import TableGeometry
-from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.sensing.free_space import Space
 from scanmotion.sensing.fusion.fuse import fuse
 from scanmotion.sensing.fusion.merge import merged

@@ -8,7 +8,7 @@ from test_simulate import sphere
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part, SurfaceSamples
-from scanmotion.geometry.parts import surface_samples
+from scanmotion.geometry.parts.make_part import surface_samples
 from scanmotion.sensing.assess import accuracy, completeness, completeness_by_distance, signed_distances
 
 R = 0.05

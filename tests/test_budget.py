@@ -11,9 +11,9 @@ from test_plan import TINY
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.core.tour import Stop
 from scanmotion.plan_io.load import load_plan
-from scanmotion.planning.budget import Coverage, budget_record, coverage_of
 from scanmotion.planning.pipeline import PlanOptions
 from scanmotion.planning.replan import replan
+from scanmotion.planning.worth.budget import Coverage, budget_record, coverage_of
 from scanmotion.report.page import report_html
 from scanmotion.sensing.simulator.simulate import ScanErrors, captures_from_trajectory, simulate
 from scanmotion.sensing.visibility import scene_from
@@ -114,7 +114,7 @@ def test_over_the_budget_something_is_always_advised(made, stops, coverage):
 
 def test_coverage_is_what_the_twin_sees(made, kr240_cell):
     """Of a dwell, whose frames are all looked at: the twin without errors sees exactly the same samples."""
-    from scanmotion.geometry.parts import surface_samples
+    from scanmotion.geometry.parts.make_part import surface_samples
 
     cell, part = made.cell, made.part
     samples = surface_samples(part, 3000, rng=np.random.default_rng(1))

@@ -9,7 +9,7 @@ from scans import SCANNER, turns
 from scanmotion.core.errors import InputError
 from scanmotion.core.viewpoint import look_at
 from scanmotion.sensing.assess import accuracy
-from scanmotion.sensing.calibration import PARAMETERS, calibrate, corrected, errors_from
+from scanmotion.sensing.corrections.calibration import PARAMETERS, calibrate, corrected, errors_from
 from scanmotion.sensing.fusion.fuse import fuse
 from scanmotion.sensing.simulator.captures import inverse
 from scanmotion.sensing.simulator.simulate import ScanErrors, simulate, still_captures

@@ -10,7 +10,7 @@ from scanmotion.cell.build import build_cell, tool_pose
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.drake_scene import drake_of
 from scanmotion.cell.kinematics import branches, scanner_poses
-from scanmotion.cell.settings import load_cell, settings_from
+from scanmotion.cell.settings.cell import load_cell, settings_from
 from scanmotion.core.errors import CellError
 
 HOME = [0.0, -90.0, 90.0, 0.0, 20.0, 0.0]

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import PartError
 from scanmotion.geometry.mending.edges import areas_of
-from scanmotion.geometry.parts import part_from_file
+from scanmotion.geometry.parts.make_part import part_from_file
 from scanmotion.sensing.holes.find import holes_from_mesh
 
 
@@ -104,8 +104,8 @@ def test_pixels_without_a_point_are_dropped(clouds):
 
 
 def test_far_coordinates_are_fused_about_a_local_origin(clouds, tmp_path):
-    from scanmotion.geometry.part_files import read_geometry
-    from scanmotion.sensing.scan_files import fuse_files
+    from scanmotion.geometry.files.part_files import read_geometry
+    from scanmotion.sensing.scans.scan_files import fuse_files
 
     fuse_files([clouds / "g12_utm_m.xyz"], tmp_path / "far.ply", units="m", voxel=0.004)
     fuse_files([clouds / "x01_ref.xyz"], tmp_path / "near.ply", voxel=0.004)
@@ -118,7 +118,7 @@ def test_far_coordinates_are_fused_about_a_local_origin(clouds, tmp_path):
 
 def test_four_scans_without_normals_become_one_outward_cloud(shared_cases, meshes, tmp_path):
     from scanmotion.cli.fusing import measured_scans, scan_files
-    from scanmotion.sensing.scan_files import fuse_measured
+    from scanmotion.sensing.scans.scan_files import fuse_measured
 
     folder = tmp_path / "scans"
     folder.mkdir()

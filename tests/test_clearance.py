@@ -10,9 +10,9 @@ from scanmotion.cell.build import build_cell
 from scanmotion.cell.collision.clearance import PAD_M, Clearance
 from scanmotion.cell.drake_scene import drake_of
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.cell.settings import load_cell, settings_from
+from scanmotion.cell.settings.cell import load_cell, settings_from
 from scanmotion.core.part import Part
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 
 TOLERANCE_M = 2e-4
 """How far FCL's iterative distances are trusted."""

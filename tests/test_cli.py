@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from scanmotion.cli import app
-from scanmotion.cli.planning import summary_rows
+from scanmotion.cli.plans.planning import summary_rows
 from scanmotion.core.summary import Summary
 
 COMMANDS = (
@@ -57,7 +57,7 @@ def test_no_command_shows_help():
 
 
 def test_robots_lists_the_builtin_cells_with_their_sources():
-    from scanmotion.cell.settings import builtin_cells
+    from scanmotion.cell.settings.cell import builtin_cells
 
     rows = json.loads(run("robots", "--json").output)
     assert [row["name"] for row in rows] == list(builtin_cells())
@@ -73,7 +73,7 @@ def test_cell_init_writes_what_cell_check_accepts(tmp_path):
     assert checked.exit_code == 0, checked.output
     assert len(checked.output.splitlines()) == 1 + 7
 
-    from scanmotion.cell.settings import load_cell
+    from scanmotion.cell.settings.cell import load_cell
 
     mine, builtin = load_cell(file), load_cell("kr240")
     assert mine.model_dump() == builtin.model_dump()
@@ -148,7 +148,7 @@ def test_holes_do_not_depend_on_the_unit(tmp_path, rng):
 
 
 def test_fuse_brings_posed_scans_into_one_frame(tmp_path, rng):
-    from scanmotion.geometry.parts import part_from_file
+    from scanmotion.geometry.parts.make_part import part_from_file
 
     # Two halves of a bowl, each in a frame of its own.
     disc = rng.random((30_000, 2)) * 200 - 100
@@ -268,7 +268,7 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(met, tmp_path):
     out = tmp_path / "plan"
     # Waits inside the pipeline until the signal arrives. A shell's background job starts deaf to it.
     code = (
-        "import signal, time, scanmotion.cli.planning as p\n"
+        "import signal, time, scanmotion.cli.plans.planning as p\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         f"def planned(*a, **k):\n    print('ready', flush=True)\n    {MET[met]}\n"
         "p.part_and_source = lambda *a, **k: (None, 'mesh')\n"
@@ -288,7 +288,7 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(met, tmp_path):
 
 
 def test_many_viewpoints_that_are_too_dear_share_a_line():
-    from scanmotion.cli.planning import left_out_rows
+    from scanmotion.cli.plans.planning import left_out_rows
     from scanmotion.core.summary import LeftOut
 
     dear = [LeftOut(id=f"L{k}", reason=f"not worth its seconds: it adds 0.00{k}% in 1.0 s") for k in range(5)]

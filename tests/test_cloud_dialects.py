@@ -8,8 +8,8 @@ from scans import bumpy
 
 from scanmotion.core.errors import PartError
 from scanmotion.core.part import Part
-from scanmotion.geometry.part_files import read_geometry
-from scanmotion.geometry.parts import part_from_file, surface_samples
+from scanmotion.geometry.files.part_files import read_geometry
+from scanmotion.geometry.parts.make_part import part_from_file, surface_samples
 
 _LUMP = surface_samples(bumpy(20, size=0.05), 3000, rng=np.random.default_rng(1))
 P = np.round(_LUMP.points * 1e3, 3)

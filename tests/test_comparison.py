@@ -13,14 +13,15 @@ from scipy.spatial import ConvexHull
 from test_plan import TINY, pitted
 from typer.testing import CliRunner
 
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cli import app
 from scanmotion.core.errors import InputError, PartError
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
-from scanmotion.geometry.parts import box_part
-from scanmotion.planning import comparison
-from scanmotion.planning.comparison import (
+from scanmotion.geometry.parts.make_part import box_part
+from scanmotion.planning.pipeline import PlanOptions
+from scanmotion.planning.worth import comparison
+from scanmotion.planning.worth.comparison import (
     HEADER,
     MEANINGS,
     PAPER_TABLE_3,
@@ -33,7 +34,6 @@ from scanmotion.planning.comparison import (
     markdown,
     row_from,
 )
-from scanmotion.planning.pipeline import PlanOptions
 from scanmotion.views.cad_slicing import _offset, cad_slicing
 from scanmotion.views.surface_partitioning import surface_partitioning
 

@@ -8,8 +8,8 @@ from scans import SCANNER
 from test_latency import turn
 
 from scanmotion.core.viewpoint import look_at
-from scanmotion.geometry.parts import surface_samples
-from scanmotion.planning.confidence import Prediction, Uncertainty, confidence
+from scanmotion.geometry.parts.make_part import surface_samples
+from scanmotion.planning.worth.confidence import Prediction, Uncertainty, confidence
 from scanmotion.sensing.assess import accuracy
 from scanmotion.sensing.fusion.fuse import fuse
 from scanmotion.sensing.simulator.captures import ScanErrors

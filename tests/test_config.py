@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scanmotion.cell.build import build_cell, check_room
-from scanmotion.cell.settings import CellSettings, builtin_cells, cell_template, load_cell, settings_from
+from scanmotion.cell.settings.cell import CellSettings, builtin_cells, cell_template, load_cell, settings_from
 from scanmotion.core.errors import CellError, ScanMotionError
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 
 FAULTS = [
     ({"turntable": {"heigth_m": 0.7}}, "turntable.heigth_m", "unknown"),

@@ -12,7 +12,7 @@ from rounds import blocked, boxes
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
 from scanmotion.core.viewpoint import look_at
-from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.sensing import visibility as coverage
 from scanmotion.sensing.greedy_cover import greedy_cover
 from scanmotion.sensing.visibility import (

@@ -14,9 +14,9 @@ import yaml
 from typer.testing import CliRunner
 
 import scanmotion as sm
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cli import app
-from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.studies.settings import StudySettings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -97,7 +97,7 @@ def test_cell_reference_is_current():
 
 
 def test_cell_reference_names_every_key():
-    from scanmotion.cell.settings import cell_template
+    from scanmotion.cell.settings.cell import cell_template
 
     text = (ROOT / "docs" / "cell.md").read_text(encoding="utf-8")
     for key in re.findall(r"^  (\w+):", cell_template(), flags=re.M):

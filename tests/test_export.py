@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cli import app
 from scanmotion.core.errors import InputError, PlanFileError, ScanMotionError
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
@@ -31,7 +31,7 @@ from scanmotion.export.krl.moves import number
 from scanmotion.export.pose import abc_from_rotation, arm_for_poses
 from scanmotion.export.source import source_from, write_files
 from scanmotion.export.viewpoints import quaternion, read_viewpoints, rotation, write_viewpoints
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.plan_io.write import plan_files
 
 

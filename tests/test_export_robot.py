@@ -10,11 +10,11 @@ import yaml
 from exported_plan import made_by_hand
 
 from scanmotion.cell.build import build_cell
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.errors import InputError
 from scanmotion.export import export_plan
 from scanmotion.export.source import source_from, write_files
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.plan_io.write import plan_files
 
 

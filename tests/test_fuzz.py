@@ -12,11 +12,11 @@ import pytest
 from fake_plan import fake_plan
 from judged_plan import hand_made_files
 
-from scanmotion.cell.settings import cell_template, load_cell
+from scanmotion.cell.settings.cell import cell_template, load_cell
 from scanmotion.core.errors import CellError, InputError, PartError
 from scanmotion.core.part import Part
 from scanmotion.export import export_plan
-from scanmotion.geometry.parts import part_from_file
+from scanmotion.geometry.parts.make_part import part_from_file
 from scanmotion.plan_io.load import load_plan
 
 V = 100.0 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])

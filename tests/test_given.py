@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scanmotion.core.part import Part
-from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.sensing.closed_surface import closed_model
 from scanmotion.sensing.holes.find import holes_from_cloud
-from scanmotion.sensing.measured_scan import cloud_from_part, spacing_of
+from scanmotion.sensing.scans.measured_scan import cloud_from_part, spacing_of
 from scanmotion.views.targets import missed
 
 SIDES = (0.2, 0.15, 0.12)

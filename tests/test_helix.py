@@ -15,10 +15,10 @@ from test_plan import TINY, pitted
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.errors import InputError, TimingError
 from scanmotion.export import export_plan
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.judge import verify
 from scanmotion.judge.programme.check import verify_programme
 from scanmotion.judge.programme.controller import controller_from
@@ -28,8 +28,8 @@ from scanmotion.motion.order.lower_bound import least_scanning_seconds
 from scanmotion.motion.timing.helix import helix_motion, ramp_angle, turns_of, way_law
 from scanmotion.motion.transit_cost import jerk_limited_seconds, move_model, stop_seconds
 from scanmotion.plan_io.write import csv_text, plan_files
-from scanmotion.planning import helices as joining
 from scanmotion.planning.pipeline import PlanOptions, plan
+from scanmotion.planning.steps import helices as joining
 
 TURN = 2 * np.pi
 OVERLAPS = (1.0, 0.5, 0.0)

@@ -14,10 +14,10 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from scanmotion.core.errors import HoleError
-from scanmotion.sensing.cloud.sampling import even_samples
 from scanmotion.sensing.holes.find import hole_report_to_json, holes_from_cloud, holes_from_mesh
 from scanmotion.sensing.holes.loops import box_about, loop_length, ordered_loop, roundness, vector_area
 from scanmotion.sensing.holes.paper_clusters import dbscan
+from scanmotion.sensing.holes.sampling import even_samples
 
 STEP = 0.002
 

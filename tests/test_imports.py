@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -27,7 +28,7 @@ LAYERS = (
 RANK = {room: rank for rank, layer in enumerate(LAYERS) for room in layer}
 CONVENIENCE = {("planning.plan", "plan_io"), ("planning.plan", "plan_io.save"), ("planning.plan", "judge")}
 """`Plan.save`, for users: the one place where a lower room calls a higher one, inside of that function."""
-PYDRAKE = {"cell", "motion/transit", "motion/timing", "report/scene.py", "controller/plant.py"}
+PYDRAKE = {"cell", "motion/transit", "motion/profile", "report/scene.py", "controller/plant.py"}
 STAGES = {"reach": "find", "order": "sequence", "transit": "plan", "timing": "operations"}
 
 
@@ -65,6 +66,34 @@ def test_imports_point_downward(name):
         assert allowed, f"{name} may not import {other}"
 
 
+def folders_of(name: str) -> tuple[str, ...]:
+    """The folders that a module stands in, from the top: ("motion", "order") for motion.order.stops."""
+    return MODULES[name].relative_to(ROOT).parent.parts
+
+
+def test_folders_beside_each_other_point_one_way():
+    """Of two folders in the same folder at most one imports from the other, at any depth below them."""
+    arrows = {}
+    for name, others in INNER.items():
+        for other in others - {""}:
+            here, there = folders_of(name), folders_of(other)
+            common = next((i for i, (a, b) in enumerate(zip(here, there, strict=False)) if a != b), None)
+            if common is not None:
+                arrows.setdefault((here[: common + 1], there[: common + 1]), (name, other))
+    assert len(arrows) > 30, "the search finds what it is to find"
+    both = {(a, b): (found, arrows[b, a]) for (a, b), found in arrows.items() if (b, a) in arrows}
+    assert not both, both
+
+
+MOST_FILES = 12
+
+
+def test_folders_are_small():
+    count = Counter(path.parent.relative_to(ROOT).as_posix() for path in FILES)
+    assert len(count) > 30
+    assert {folder: n for folder, n in count.items() if n > MOST_FILES} == {}
+
+
 def test_the_convenience_is_inside_save():
     tree = ast.parse(MODULES["planning.plan"].read_text())
     (save,) = (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == "save")
@@ -81,7 +110,7 @@ def test_the_judge_knows_nothing_of_the_planner():
         name = todo.pop()
         seen.add(name)
         todo |= INNER[name] - seen - {""}
-    settings = {n for n in seen if n.startswith("cell.") and n.endswith(("settings", "presets"))}
+    settings = {n for n in seen if n == "cell" or n.split(".")[:2] == ["cell", "settings"]}
     rooms = {name for name in seen if not name.startswith(("judge", "core", "geometry"))} - settings
     assert rooms <= {"plan_io", "plan_io.schema", "plan_io.read", "plan_io.files"}, rooms
 
@@ -153,7 +182,7 @@ def test_every_public_name_loads():
         assert getattr(scanmotion, name) is not None
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "planning").glob("*.py")), ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", sorted((ROOT / "planning").rglob("*.py")), ids=lambda p: p.stem)
 def test_planning_assigns_no_attribute(path):
     """A state is a value: nothing in planning/ changes one, and every class there is frozen."""
     tree = ast.parse(path.read_text())

@@ -11,12 +11,12 @@ from test_plan import PIT, pitted
 from typer.testing import CliRunner
 
 from scanmotion.cell.build import build_cell
-from scanmotion.cell.settings import load_cell, settings_from
+from scanmotion.cell.settings.cell import load_cell, settings_from
 from scanmotion.cli import app
 from scanmotion.core.errors import InputError
-from scanmotion.geometry.part_files import read_geometry
-from scanmotion.geometry.parts import part_from_file, surface_samples
-from scanmotion.geometry.ply import write_ply
+from scanmotion.geometry.files.part_files import read_geometry
+from scanmotion.geometry.files.ply_write import write_ply
+from scanmotion.geometry.parts.make_part import part_from_file, surface_samples
 from scanmotion.job import store
 from scanmotion.job.adding import AddOptions, add_frames
 from scanmotion.job.frame_files import Intrinsics, depth_npz, frame_points, intrinsics_of

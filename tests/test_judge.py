@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.kinematics import flange_poses, scanner_poses
-from scanmotion.cell.settings import builtin_cells, load_cell
+from scanmotion.cell.settings.cell import builtin_cells, load_cell
 from scanmotion.core.errors import PlanFileError
 from scanmotion.judge import verify
 from scanmotion.judge.limits import check_limits
@@ -677,7 +677,7 @@ def test_the_judge_imports_nothing_of_what_it_judges():
                 names |= {node.module, *(f"{node.module}.{a.name}" for a in node.names)}
         return names
 
-    todo, seen, outside = [*(ROOT / "judge").glob("*.py")], set(), set()
+    todo, seen, outside = [*(ROOT / "judge").rglob("*.py")], set(), set()
     while todo:
         path = todo.pop()
         if path in seen:

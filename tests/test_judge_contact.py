@@ -10,7 +10,7 @@ from judged_plan import Written, hand_made_files
 from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.judge import contact
 from scanmotion.judge.contact import STEP_M, Block, blocks, exact_distance, separation
 from scanmotion.judge.motion import arm_from_urdf, motion_at

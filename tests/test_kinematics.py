@@ -10,6 +10,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.solvers import Solve
 
+from scanmotion.cell.arm.robot import clean_angle
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.ik.choice import solver_of
 from scanmotion.cell.ik.numeric import NumericArm
@@ -24,8 +25,7 @@ from scanmotion.cell.kinematics import (
     tcp_jacobian,
     wrist_shortfall,
 )
-from scanmotion.cell.robot import clean_angle
-from scanmotion.cell.settings import settings_from
+from scanmotion.cell.settings.cell import settings_from
 
 SPHERICAL = ("kr240", "kr240-ultra", "kr210", "irb6700")
 ROBOTS = (*SPHERICAL, "ur10e")
@@ -407,7 +407,7 @@ def test_scanner_in_object_undoes_the_table():
 @pytest.mark.parametrize("name", ROBOTS)
 def test_a_turned_and_moved_cell_gives_the_same_joints(name, yaw):
     """The base somewhere else and the poses with it: nothing changes for the arm."""
-    from scanmotion.cell.settings import pose
+    from scanmotion.cell.settings.cell import pose
 
     cell = cell_of(name)
     place = (0.4, -1.2, 0.3)
@@ -438,7 +438,7 @@ def test_a_mirrored_pose_has_the_mirrored_joints(name):
 
 def other_urdf(folder):
     """An arm that no closed form serves: the KR 240 with A5 beside the forearm's axis and askew."""
-    from scanmotion.geometry.parts import models_dir
+    from scanmotion.geometry.parts.make_part import models_dir
 
     text = (models_dir() / "robots" / "kr240.urdf").read_text()
     moved = text.replace('<origin xyz="1.22 0 0"/>', '<origin xyz="1.22 0.05 0.08" rpy="0.1 0 0.2"/>')

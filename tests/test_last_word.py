@@ -13,10 +13,10 @@ from scanmotion.cell.collision import clearance
 from scanmotion.cell.collision.last_word import DrakeJudge
 from scanmotion.cell.collision.sphere_filter import filter_from
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.cell.settings import settings_from
+from scanmotion.cell.settings.cell import settings_from
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint, look_at
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.motion.reach.find import ReachOptions, reach
 from scanmotion.planning.pipeline import PlanOptions, plan
 

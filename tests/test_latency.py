@@ -11,9 +11,9 @@ from test_simulate import sphere
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
 from scanmotion.core.viewpoint import look_at
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.sensing.assess import accuracy
-from scanmotion.sensing.calibration import PARAMETERS, calibrate, corrected
+from scanmotion.sensing.corrections.calibration import PARAMETERS, calibrate, corrected
 from scanmotion.sensing.fusion.fuse import fuse
 from scanmotion.sensing.simulator.captures import Captures, ScanErrors, inverse, later, true_poses, turned
 from scanmotion.sensing.simulator.simulate import simulate

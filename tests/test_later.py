@@ -38,7 +38,7 @@ print(open3d.visualization.draw_plotly is before, before.__code__.co_filename.en
 def test_toppra_is_imported_without_pyplot_and_has_it_when_asked():
     code = """
 import sys
-import scanmotion.motion.timing.toppra_profile
+import scanmotion.motion.profile.toppra_profile
 early = "matplotlib.pyplot" in sys.modules
 import toppra.parametrizer, matplotlib.pyplot as plt
 print(early, toppra.parametrizer.plt.plot is plt.plot, sys.modules["matplotlib.pyplot"] is plt)

@@ -8,7 +8,7 @@ from test_robot_files import PLAIN, cell_of
 from typer.testing import CliRunner
 
 from scanmotion.cli import app
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.judge.left_out import not_judged
 from scanmotion.judge.motion import arm_of
 from scanmotion.judge.solids import meeting_carriers, pairs_of, solids_of

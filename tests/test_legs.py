@@ -7,9 +7,9 @@ import pytest
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.collision.clearance import Clearance
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.planning.segment import segment_from
 
 DEAR = re.compile(r"not worth its seconds: it would cost (\d+\.\d) s")

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scanmotion.cell.settings import load_cell, settings_from
+from scanmotion.cell.settings.cell import load_cell, settings_from
 from scanmotion.core.scanner import MATERIALS, Scanner
 from scanmotion.core.viewpoint import look_at
-from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.sensing.simulator.captures import ScanErrors
 from scanmotion.sensing.simulator.simulate import simulate, still_captures
 from scanmotion.sensing.visibility import in_view, scene_from, sees

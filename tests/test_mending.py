@@ -9,7 +9,7 @@ from scanmotion.geometry.mending.edges import areas_of, edges_of
 from scanmotion.geometry.mending.keys import equal_points, row_keys
 from scanmotion.geometry.mending.manifold import parted
 from scanmotion.geometry.mending.mend_mesh import mended
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 
 BOX = box_part(100.0, 60.0, 40.0)
 LUMP = bumpy(16, size=50.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mesh_dialects import MESHES, F, V
 
-from scanmotion.geometry.parts import part_from_file
+from scanmotion.geometry.parts.make_part import part_from_file
 
 
 def volume(part):

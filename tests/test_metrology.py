@@ -15,9 +15,9 @@ from scanmotion.cli import app
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
-from scanmotion.geometry.part_files import read_geometry
-from scanmotion.geometry.parts import box_part, surface_samples
-from scanmotion.geometry.ply import write_ply
+from scanmotion.geometry.files.part_files import read_geometry
+from scanmotion.geometry.files.ply_write import write_ply
+from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.report.assessment import cut_lines
 from scanmotion.sensing.metrology.acceptance import Table, acceptance
 from scanmotion.sensing.metrology.alignment import aligned

@@ -12,9 +12,9 @@ import yaml
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
+from scanmotion.cell.arm.robot_file import robot_from_file
 from scanmotion.cell.build import robot_facts
-from scanmotion.cell.robot_file import robot_from_file
-from scanmotion.cell.settings import builtin_cells, load_cell
+from scanmotion.cell.settings.cell import builtin_cells, load_cell
 
 MODELS = Path(__file__).resolve().parents[1] / "models"
 ROBOTS = ("kr240", "kr240-ultra", "kr210", "irb6700", "ur10e")
@@ -170,7 +170,7 @@ def test_facts_beside_the_urdf(name):
 def test_published_reach_is_the_wrist_with_a2_at_its_stop(name):
     """KUKA's reach: horizontal, of the wrist centre, A2 at -5 deg at most (facts 1.0)."""
     robot = robot_from_file(MODELS / "robots" / f"{name}.urdf", JOINTS, "tool0")
-    from scanmotion.cell.robot import arm_poses
+    from scanmotion.cell.arm.robot import arm_poses
 
     a3 = np.linspace(robot.lower[2], robot.upper[2], 4001)
     q = np.zeros((len(a3), 6))

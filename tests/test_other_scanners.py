@@ -7,14 +7,14 @@ import pytest
 from rounds import AROUND, SCANNER, TABLE, Rounds, block_with_pit
 
 from scanmotion.cell.build import build_cell
-from scanmotion.cell.scanner_presets import scanner_presets
-from scanmotion.cell.settings import load_cell, settings_from
+from scanmotion.cell.settings.cell import load_cell, settings_from
+from scanmotion.cell.settings.scanner_presets import scanner_presets
 from scanmotion.cell.table_of import table_of
 from scanmotion.cell.view_costs import view_costs
-from scanmotion.cli.cells import check_home
+from scanmotion.cli.cells.cell_files import check_home
 from scanmotion.core.errors import CellError
-from scanmotion.geometry.parts import box_part, carving, surface_samples
-from scanmotion.motion.timing.jerk_limited import ruckig_law
+from scanmotion.geometry.parts.make_part import box_part, carving, surface_samples
+from scanmotion.motion.profile.jerk_limited import ruckig_law
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.sensing.visibility import scene_from
 from scanmotion.views.candidate_views import CandidateOptions, candidates

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from scanmotion.cell.build import robot_facts
-from scanmotion.cell.settings import load_cell
-from scanmotion.geometry.parts import box_part, models_dir
+from scanmotion.cell.settings.cell import load_cell
+from scanmotion.geometry.parts.make_part import box_part, models_dir
 from scanmotion.plan_io.load import load_plan
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.report.scene import _Bodies

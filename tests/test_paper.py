@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_plan import TINY, pitted
 
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.planning.options import PlanOptions
 from scanmotion.report.paper import (
     METHODS,

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scanmotion.core.errors import PartError
-from scanmotion.geometry.parts import (
+from scanmotion.geometry.parts.make_part import (
     box_part,
     carving,
     check_fits,

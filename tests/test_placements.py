@@ -12,12 +12,12 @@ from scanmotion.cli import app
 from scanmotion.core.errors import InputError
 from scanmotion.plan_io.placed_folder import placed_summary, save_placed
 from scanmotion.planning.context import context_from
-from scanmotion.planning.placements import PlacementOptions, plan_placements
-from scanmotion.planning.placing_trial import known_cloud, placing_trial, still_poses
+from scanmotion.planning.placements.placing_trial import known_cloud, placing_trial, still_poses
+from scanmotion.planning.placements.plan_placements import PlacementOptions, plan_placements
 from scanmotion.planning.segment import silent
 from scanmotion.report.placements_page import placements_html
+from scanmotion.sensing.corrections.measured_placement import SHIFT, TILT, drawn_error, measured_placement
 from scanmotion.sensing.fusion.fuse import fuse
-from scanmotion.sensing.placement import SHIFT, TILT, drawn_error, measured_placement
 from scanmotion.sensing.simulator.simulate import simulate, still_captures
 
 COARSE = {"samples": 4000, "stride": 6, "rounds": 1}

@@ -7,10 +7,10 @@ import pytest
 from judging import findings_of, summarised
 
 import scanmotion as sm
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.errors import InputError, PartError
 from scanmotion.core.part import Part
-from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.judge import verify
 from scanmotion.motion.reach.find import ANALYTIC, RESCUE
 from scanmotion.motion.refine import REFINED

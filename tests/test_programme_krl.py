@@ -13,14 +13,14 @@ from typer.testing import CliRunner
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cli import app
 from scanmotion.core.errors import InputError, PlanFileError
 from scanmotion.export import export_plan
 from scanmotion.export.krl import programme as writer
 from scanmotion.export.krl.moves import cut_of, rounding
 from scanmotion.export.source import write_files
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.judge.programme.check import verify_programme
 from scanmotion.judge.programme.controller import controller_from
 from scanmotion.judge.programme.world import ScriptedScanner

@@ -1,6 +1,7 @@
 """RAPID for the built-in ABB robot: run by the judge's machine as the plan is, with faults found."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,12 +9,12 @@ from exported_plan import made_by_hand
 from mutations import KINDS, mutated
 
 from scanmotion.cell.build import build_cell
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.errors import InputError, PlanFileError
 from scanmotion.export import export_plan
 from scanmotion.export.knots import timed_knots
 from scanmotion.export.source import write_files
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.judge.programme.check import verify_programme
 from scanmotion.judge.programme.controller import controller_from
 from scanmotion.judge.programme.world import ScriptedScanner
@@ -105,3 +106,20 @@ def test_mutated_modules_are_found_or_harmless(module, folder, tmp_path):
     for text, run in left:
         outputs = [[(e.number, e.on) for e in r.said("output")] for r in (run, good)]
         assert run.ended and outputs[0] == outputs[1] and abs(run.t[-1] - good.t[-1]) < 1.5, text
+
+
+def test_a_continuous_motion_is_driven_and_goes_back_through_the_points_it_has_passed(tmp_path):
+    """The line of the sweep as a motion of kind `path`; a fault leads back through counted points."""
+    cell = build_cell(load_cell("irb6700"), box_part(0.2, 0.15, 0.4))
+    made = made_by_hand(cell)
+    operations = tuple(
+        replace(o, kind="path" if o.kind == "sweep" else o.kind) for o in made.trajectory.operations
+    )
+    made.trajectory = made.cycle = replace(made.trajectory, operations=operations)
+    write_files(tmp_path, plan_files(made))
+    (file,) = export_plan(tmp_path, "rapid")
+    assert verify_programme(file, clearance=False).findings == ()
+    controller = controller_from(file)
+    scanner = ScriptedScanner(signals=controller.signals, faults=frozenset([2]), patience=1, fault_after=1.5)
+    run, _ = controller.run(scanner)
+    assert run.ended and scanner.recordings == 4 and len(run.said("brake")) == 1

@@ -6,9 +6,9 @@ from judging import findings_of
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.collision.clearance import Clearance
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.planning.methods import PAPER
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.plan import Plan

@@ -11,9 +11,9 @@ from fcl_check import FclCell
 from scanmotion.cell.build import build_cell, robot_path
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.kinematics import branches, scanner_poses, wrist_shortfall
-from scanmotion.cell.settings import load_cell, settings_from
+from scanmotion.cell.settings.cell import load_cell, settings_from
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.motion.reach.diagnosis import Change, cause_of
 from scanmotion.motion.reach.find import ReachOptions, reach, reachable_mask
 from scanmotion.motion.reach.ik_candidates import ik_candidates, presented, table_angles

@@ -8,11 +8,11 @@ import pytest
 from typer.testing import CliRunner
 
 from scanmotion.cell.build import build_cell
-from scanmotion.cell.settings import load_cell, settings_from
+from scanmotion.cell.settings.cell import load_cell, settings_from
 from scanmotion.cli.app import app
-from scanmotion.cli.arms import DISTANCES_M, HEIGHTS_M, moved_table, reach_record, sweep_rows
+from scanmotion.cli.cells.arms import DISTANCES_M, HEIGHTS_M, moved_table, reach_record, sweep_rows
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.motion.reach.find import ReachOptions, reach
 
 
@@ -51,8 +51,8 @@ def test_the_sweep_is_reach_in_each_layout():
 
 
 def test_a_layout_that_cannot_be_has_no_share(monkeypatch):
-    monkeypatch.setattr("scanmotion.cli.arms.DISTANCES_M", (9.0,))
-    monkeypatch.setattr("scanmotion.cli.arms.HEIGHTS_M", (0.7,))
+    monkeypatch.setattr("scanmotion.cli.cells.arms.DISTANCES_M", (9.0,))
+    monkeypatch.setattr("scanmotion.cli.cells.arms.HEIGHTS_M", (0.7,))
     rows = sweep_rows(load_cell("kr240"), None, views(), lambda stage, fraction: None)
     assert rows == [{"distance_m": 9.0, "height_m": 0.7, "share": None}]
 

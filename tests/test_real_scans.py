@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from scanmotion.cli.fusing import measured_scans, read_poses
-from scanmotion.geometry.parts import part_from_file, surface_samples
+from scanmotion.geometry.parts.make_part import part_from_file, surface_samples
 from scanmotion.sensing.assess import completeness_by_distance
 from scanmotion.sensing.holes.find import holes_from_cloud
-from scanmotion.sensing.scan_files import fuse_measured
+from scanmotion.sensing.scans.scan_files import fuse_measured
 from scanmotion.sensing.simulator.captures import inverse, motion
 
 VOXEL = 0.002

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from fcl_check import FclCell
 
+from scanmotion.cell.arm.robot import least_singular
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.collision.clearance import Clearance
-from scanmotion.cell.robot import least_singular
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.judge.views import nearest
 from scanmotion.motion import refine
 from scanmotion.motion.order.sequence import sequence

@@ -7,9 +7,9 @@ import pytest
 from scans import turns, wrong
 
 from scanmotion.core.errors import InputError
-from scanmotion.geometry.parts import surface_samples
+from scanmotion.geometry.parts.make_part import surface_samples
+from scanmotion.sensing.corrections.registration import align, register, transformed
 from scanmotion.sensing.fusion.fuse import Cloud, fuse
-from scanmotion.sensing.registration import align, register, transformed
 from scanmotion.sensing.simulator.captures import inverse, motion
 from scanmotion.sensing.simulator.simulate import ScanErrors
 

@@ -14,7 +14,7 @@ import scanmotion.report.surface as surface_page
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
 from scanmotion.core.summary import Summary
-from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.report.figures import palette
 from scanmotion.report.figures.charts import tcp_speed
 from scanmotion.report.figures.maps import causes_of

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from scanmotion.core.errors import PartError
 from scanmotion.core.part import Part
-from scanmotion.geometry.parts import box_part
-from scanmotion.geometry.resting import resting_poses, turned_part
+from scanmotion.geometry.parts.make_part import box_part
+from scanmotion.geometry.parts.resting import resting_poses, turned_part
 
 SIDES = st.floats(0.05, 0.6)
 

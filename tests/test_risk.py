@@ -10,14 +10,14 @@ from typer.testing import CliRunner
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.kinematics import flange_poses, link_poses, scanner_poses
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cli import app
 from scanmotion.export.source import write_files
-from scanmotion.geometry.part_files import read_geometry
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.files.part_files import read_geometry
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.judge.contact import exact_distance
 from scanmotion.judge.motion import motion_from
-from scanmotion.judge.risk import REACTION_S, UNSURE_M, risk_of
+from scanmotion.judge.risk.sheet import REACTION_S, UNSURE_M, risk_of
 from scanmotion.judge.solids import PART, TOOL, solids_of
 from scanmotion.plan_io.read import read_plan, read_trajectory
 from scanmotion.plan_io.write import plan_files

@@ -11,10 +11,10 @@ from scanmotion.cell.build import build_cell
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.drake_scene import drake_of
 from scanmotion.cell.kinematics import flange_poses
-from scanmotion.cell.settings import load_cell, settings_from
+from scanmotion.cell.settings.cell import load_cell, settings_from
 from scanmotion.core.errors import CellError
 from scanmotion.geometry.convex import convex_pieces, hull_from
-from scanmotion.geometry.parts import box_part, models_dir
+from scanmotion.geometry.parts.make_part import box_part, models_dir
 from scanmotion.judge import verify
 from scanmotion.judge.motion import arm_from_urdf
 from scanmotion.planning.pipeline import PlanOptions, plan

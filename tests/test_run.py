@@ -10,14 +10,14 @@ from typer.testing import CliRunner
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.kinematics import scanner_in_object
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cli import app
 from scanmotion.controller.log import executed_from, read_executed, read_log
 from scanmotion.controller.simulate import Circumstances, run_programme
 from scanmotion.core.errors import InputError, PlanFileError
 from scanmotion.export import export_plan
 from scanmotion.export.source import write_files
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.judge import verify
 from scanmotion.plan_io.read import read_plan
 from scanmotion.plan_io.resume import rest_files

@@ -5,11 +5,11 @@ import pytest
 from scans import wrong
 
 from scanmotion.core.errors import InputError, PartError
-from scanmotion.geometry.part_files import read_geometry
+from scanmotion.geometry.files.part_files import read_geometry
 from scanmotion.sensing.assess import accuracy
+from scanmotion.sensing.corrections.registration import transformed
 from scanmotion.sensing.fusion.fuse import Cloud
-from scanmotion.sensing.registration import transformed
-from scanmotion.sensing.scan_files import (
+from scanmotion.sensing.scans.scan_files import (
     fuse_files,
     fuse_folder,
     load_scan,

@@ -7,7 +7,7 @@ import pytest
 from judging import findings_of
 
 import scanmotion.planning.evidence as module
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cell.view_costs import view_costs
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner

@@ -119,7 +119,7 @@ def test_a_billion_claimed_triangles_take_no_memory(watched):
     """The most memory that the process ever held grows by less than a megabyte."""
     code = (
         "import resource, sys, io, contextlib\n"
-        "from scanmotion.geometry.parts import part_from_file\n"
+        "from scanmotion.geometry.parts.make_part import part_from_file\n"
         "from scanmotion.core.errors import ScanMotionError\n"
         "import open3d, scipy.spatial\n"
         "most = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
@@ -136,7 +136,7 @@ def test_a_billion_claimed_triangles_take_no_memory(watched):
 
 
 def arm(change=("", "")) -> str:
-    from scanmotion.geometry.parts import models_dir
+    from scanmotion.geometry.parts.make_part import models_dir
 
     text = (models_dir() / "robots" / "kr240.urdf").read_text()
     assert change[0] in text

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from scanmotion.core.errors import HoleError
 from scanmotion.core.part import Part
 from scanmotion.core.viewpoint import look_at
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.sensing.closed_surface import closed_model, surface_nets, without_pinches
 from scanmotion.sensing.free_space import Space
 from scanmotion.sensing.visibility import hemisphere, scene_from, sees, visible

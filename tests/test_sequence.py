@@ -15,7 +15,7 @@ from scanmotion.core.errors import InputError
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
 from scanmotion.motion.order import lower_bound as floor_module
 from scanmotion.motion.order.completeness_curve import completeness_curve
-from scanmotion.motion.order.generalised_tsp import best_states
+from scanmotion.motion.order.salesman.generalised_tsp import best_states
 from scanmotion.motion.order.stops import natural, windings
 from scanmotion.motion.order.sweeps import line_poses
 from scanmotion.motion.transit_cost import (

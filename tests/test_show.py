@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import scanmotion.report.scene as mut
 from scanmotion.cell.kinematics import flange_poses
 from scanmotion.core.scanner import Scanner
-from scanmotion.geometry.parts import box_part, carving
+from scanmotion.geometry.parts.make_part import box_part, carving
 from scanmotion.report.figures import shapes, sight
 from scanmotion.sensing.visibility import scene_from, sees
 

@@ -11,9 +11,9 @@ from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.collision.pairs import ignored
 from scanmotion.cell.drake_scene import drake_of
 from scanmotion.cell.model import TOOL
-from scanmotion.cell.settings import load_cell, settings_from
+from scanmotion.cell.settings.cell import load_cell, settings_from
 from scanmotion.core.errors import CellError
-from scanmotion.geometry.parts import box_part, models_dir
+from scanmotion.geometry.parts.make_part import box_part, models_dir
 from scanmotion.judge import verify
 from scanmotion.planning.pipeline import PlanOptions, plan
 

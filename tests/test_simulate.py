@@ -12,7 +12,7 @@ from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
 from scanmotion.core.trajectory import Operation, Trajectory
 from scanmotion.core.viewpoint import look_at
-from scanmotion.geometry.parts import surface_samples
+from scanmotion.geometry.parts.make_part import surface_samples
 from scanmotion.sensing.simulator.captures import motion, true_poses, turned
 from scanmotion.sensing.simulator.kernels import frame_rays, hull_rows, surely_lit
 from scanmotion.sensing.simulator.simulate import (

@@ -9,9 +9,9 @@ from fcl_check import FclCell
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.ik.slack_plant import SlackPlant
-from scanmotion.cell.settings import settings_from
+from scanmotion.cell.settings.cell import settings_from
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.motion.reach import slack as module
 from scanmotion.motion.reach.find import ReachOptions, reach
 from scanmotion.motion.reach.slack import SlackSearch, distances, has_slack, seeds_from, variants

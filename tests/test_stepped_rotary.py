@@ -5,7 +5,7 @@ import pytest
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.scanner import Scanner
-from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.sensing.visibility import scene_from, turns_see
 from scanmotion.views.stepped_rotary import oblique_turn, stepped_rotary
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from scanmotion.core.streams import Streams, fixed_stream
+from scanmotion.core.support.streams import Streams, fixed_stream
 
 SOURCE = Path(__file__).parent.parent / "scanmotion"
-HOME = SOURCE / "core" / "streams.py"
+HOME = SOURCE / "core" / "support" / "streams.py"
 GOLDEN = [414284, 464607, 346960]
 
 

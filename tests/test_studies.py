@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.errors import InputError
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.studies import cluster, table
 from scanmotion.studies.case import FIGURES, CaseRow, poses_round, row_of
 from scanmotion.studies.layout import BOUNDS, layout_keys, present_values

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scanmotion.geometry.part_files import read_geometry
+from scanmotion.geometry.files.part_files import read_geometry
 from scanmotion.sensing.assess import accuracy
 from scanmotion.sensing.fusion.fuse import Cloud
 from scanmotion.sensing.fusion.surface import deviation_mesh, surface

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from scanmotion.core.errors import InputError
-from scanmotion.core.threads import OPENMP, allow_threads, allowed_threads
+from scanmotion.core.support.threads import OPENMP, allow_threads, allowed_threads
 
 ROOT = Path(__file__).resolve().parents[1] / "scanmotion"
 
@@ -47,7 +47,11 @@ def test_what_works_on_threads_asks_for_their_number():
 
 @pytest.mark.parametrize("how", ["option", "variable"])
 def test_numba_has_the_same_number(how):
-    code = "from scanmotion.core.threads import allow_threads; allow_threads(1)" if how == "option" else ""
+    code = (
+        "from scanmotion.core.support.threads import allow_threads; allow_threads(1)"
+        if how == "option"
+        else ""
+    )
     code += "\nimport scanmotion\nfrom numba import config\nprint(config.NUMBA_NUM_THREADS)"
     environment = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
     environment |= {OPENMP: "1"} if how == "variable" else {}

@@ -10,16 +10,16 @@ from test_plan import TINY, pitted
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.collision.clearance import Clearance
-from scanmotion.cell.settings import load_cell
+from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
-from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.planning.context import context_from
-from scanmotion.planning.local_rounds import local_rounds
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.pipeline import global_step, plan_from
-from scanmotion.planning.prune import not_worth, prune, stop_masks, stops_seen
 from scanmotion.planning.segment import costs, segment_from, silent, with_left_out
 from scanmotion.planning.state import begin, extend
+from scanmotion.planning.steps.local_rounds import local_rounds
+from scanmotion.planning.steps.prune import not_worth, prune, stop_masks, stops_seen
 from scanmotion.sensing.visibility import revolution_poses, scene_from, seen_by_any
 
 REASON = "not worth its seconds: it adds "

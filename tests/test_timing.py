@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 
 from scanmotion.core.errors import TimingError
 from scanmotion.core.tour import Path, Stop, Tour
-from scanmotion.motion.timing import toppra_profile as module
-from scanmotion.motion.timing.jerk_limited import fastest_law, ruckig_law
-from scanmotion.motion.timing.operations import transit_motion
-from scanmotion.motion.timing.speed_profile import (
+from scanmotion.motion.profile import toppra_profile as module
+from scanmotion.motion.profile.jerk_limited import fastest_law, ruckig_law
+from scanmotion.motion.profile.speed_profile import (
     Derivatives,
     Limits,
     fastest_profile,
@@ -23,8 +22,9 @@ from scanmotion.motion.timing.speed_profile import (
     profile_floor,
     speed_caps,
 )
-from scanmotion.motion.timing.spline import corner_cut, spline_beside, spline_through, subdivided
-from scanmotion.motion.timing.toppra_profile import toppra_profile
+from scanmotion.motion.profile.spline import corner_cut, spline_beside, spline_through, subdivided
+from scanmotion.motion.profile.toppra_profile import toppra_profile
+from scanmotion.motion.timing.operations import transit_motion
 from scanmotion.motion.transit import drive
 
 LIMITS = Limits(
@@ -197,7 +197,7 @@ def test_one_metre_at_a_tenth_of_a_metre_per_second():
 
 @pytest.mark.parametrize("through", [False, True])
 def test_what_a_law_is_checked_by_is_the_same_as_by_scipy(through):
-    from scanmotion.motion.timing import jerk_limited as scale
+    from scanmotion.motion.profile import jerk_limited as scale
 
     rng = np.random.default_rng(3)
     path, d = joint_path(rng, 5)
@@ -219,7 +219,7 @@ def test_what_a_law_is_checked_by_is_the_same_as_by_scipy(through):
 
 
 def test_a_running_maximum_is_that_of_every_window(rng):
-    from scanmotion.motion.timing.jerk_limited import _running_max
+    from scanmotion.motion.profile.jerk_limited import _running_max
 
     x = rng.normal(size=200)
     brute = [x[max(n - 7, 0) : n + 8].max() for n in range(200)]

@@ -248,9 +248,9 @@ def test_transits_round_a_carving_keep_the_clearance_exactly(seed, goals):
     from scanmotion.cell.build import build_cell
     from scanmotion.cell.collision.clearance import Clearance
     from scanmotion.cell.kinematics import branches
-    from scanmotion.cell.settings import load_cell
+    from scanmotion.cell.settings.cell import load_cell
     from scanmotion.core.viewpoint import look_at
-    from scanmotion.geometry.parts import carving
+    from scanmotion.geometry.parts.make_part import carving
     from scanmotion.motion.transit.drive import transit_spline
     from scanmotion.motion.transit.plan import transit
 

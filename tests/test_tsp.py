@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import scanmotion.motion.order.tsp as mut
+import scanmotion.motion.order.salesman.tsp as mut
 from scanmotion.core.errors import InputError
-from scanmotion.motion.order.local_search import local_search, tour_cost
-from scanmotion.motion.order.tour_bound import best_closed_tour, one_tree_bound
+from scanmotion.motion.order.salesman.local_search import local_search, tour_cost
+from scanmotion.motion.order.salesman.tour_bound import best_closed_tour, one_tree_bound
 
 
 def _distances(points):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from test_robot_files import PLAIN, cell_of
 
+from scanmotion.cell.arm.robot import arm_poses, clean_angle
 from scanmotion.cell.ik.choice import solver_of
 from scanmotion.cell.ik.opw import opw_arm
 from scanmotion.cell.ik.parallel import parallel_arm
 from scanmotion.cell.ik.turned_opw import turned_arm
-from scanmotion.cell.robot import arm_poses, clean_angle
 
 
 def flange_at(robot, q):
@@ -83,7 +83,7 @@ def test_rounded_angles_of_a_file_are_led_onto_the_pose(tmp_path, rng):
 
 def test_other_arms_are_left_to_other_solvers(tmp_path):
     from scanmotion.cell.build import build_cell
-    from scanmotion.cell.settings import load_cell
+    from scanmotion.cell.settings.cell import load_cell
 
     ur = build_cell(load_cell("ur10e")).robot
     assert turned_arm(ur) is None and parallel_arm(ur) is not None

@@ -12,24 +12,24 @@ from scans import SCANNER, bumpy, turns
 from test_plan import TINY, pitted
 from typer.testing import CliRunner
 
-from scanmotion.cell.settings import load_cell, settings_from
+from scanmotion.cell.settings.cell import load_cell, settings_from
 from scanmotion.cli import app
-from scanmotion.cli.planning import twin_rows
+from scanmotion.cli.plans.planning import twin_rows
 from scanmotion.core.errors import CellError, InputError
 from scanmotion.core.summary import Summary
 from scanmotion.core.viewpoint import look_at
-from scanmotion.geometry.part_files import read_geometry
-from scanmotion.geometry.parts import box_part, surface_samples
+from scanmotion.geometry.files.part_files import read_geometry
+from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.judge import verify
 from scanmotion.plan_io.load import load_plan
-from scanmotion.plan_io.measured import calibration_record, surface_record
 from scanmotion.plan_io.read import read_summary
+from scanmotion.plan_io.scans.measured import calibration_record, surface_record
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.sensing.assess import signed_distances
-from scanmotion.sensing.calibration import PARAMETERS, Calibration, errors_from
-from scanmotion.sensing.corrections import Corrections, corrected_scan, moved
+from scanmotion.sensing.corrections.calibration import PARAMETERS, Calibration, errors_from
+from scanmotion.sensing.corrections.corrected_scan import Corrections, corrected_scan, moved
 from scanmotion.sensing.fusion.fuse import fuse
-from scanmotion.sensing.scan_files import load_scan
+from scanmotion.sensing.scans.scan_files import load_scan
 from scanmotion.sensing.simulator.captures import ScanErrors, motion
 from scanmotion.sensing.simulator.simulate import simulate, still_captures
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rounds import AROUND, SCANNER, TABLE, block_with_pit
 
-from scanmotion.geometry.parts import surface_samples
+from scanmotion.geometry.parts.make_part import surface_samples
 from scanmotion.sensing.visibility import scene_from
 from scanmotion.views.candidate_views import Candidates
 from scanmotion.views.targets import Targets

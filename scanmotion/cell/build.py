@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from scanmotion.cell.arm.robot import Body, Robot
+from scanmotion.cell.arm.robot_file import robot_from_file
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.collision.shapes import fcl_object
 from scanmotion.cell.kinematics import branches
@@ -15,13 +17,11 @@ from scanmotion.cell.model import TABLE as TABLE
 from scanmotion.cell.model import TOOL as TOOL
 from scanmotion.cell.model import WORLD as WORLD
 from scanmotion.cell.model import Cell as Cell
-from scanmotion.cell.robot import Body, Robot
-from scanmotion.cell.robot_file import robot_from_file
-from scanmotion.cell.settings import CellSettings, pose
+from scanmotion.cell.settings.cell import CellSettings, pose
 from scanmotion.cell.suggest import flange_axis
 from scanmotion.core.errors import CellError
 from scanmotion.core.part import Part
-from scanmotion.geometry.parts import models_dir
+from scanmotion.geometry.parts.make_part import models_dir
 
 FLOOR_M = 8.0
 _PLACES = [

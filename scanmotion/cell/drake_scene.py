@@ -15,10 +15,10 @@ from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelD
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 
+from scanmotion.cell.arm.robot import Body, Robot
+from scanmotion.cell.arm.robot_file import write_arm
 from scanmotion.cell.collision.pairs import ignored_carriers, on_floor
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
-from scanmotion.cell.robot import Body, Robot
-from scanmotion.cell.robot_file import write_arm
 
 # Drake tells of every port it opens and every context it allocates; warnings still come through. Who wants
 # to hear more sets the level after this import.

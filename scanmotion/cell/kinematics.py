@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scanmotion.cell.arm.robot import arm_poses
 from scanmotion.cell.ik.choice import Solved, solver_of
 from scanmotion.cell.model import Cell
-from scanmotion.cell.robot import arm_poses
 from scanmotion.geometry.se3 import inverse_poses, turns_about_z
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from scanmotion.cell.robot import Body, Robot
-from scanmotion.cell.settings import CellSettings
+from scanmotion.cell.arm.robot import Body, Robot
+from scanmotion.cell.settings.cell import CellSettings
 from scanmotion.core.part import Part
 
 TOOL, TABLE, WORLD = 7, 8, 9

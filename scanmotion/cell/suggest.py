@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from scanmotion.cell.arm.robot import Robot, arm_poses
+from scanmotion.cell.arm.robot_file import ends_of_six, robot_from_file
 from scanmotion.cell.ik.choice import solver_of
-from scanmotion.cell.robot import Robot, arm_poses
-from scanmotion.cell.robot_file import ends_of_six, robot_from_file
 from scanmotion.core.errors import CellError
 
 _KR240_REACH_M = 2.575

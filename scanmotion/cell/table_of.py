@@ -1,6 +1,6 @@
 """The table's geometry for the stages that know no cell: where it is, and where a scanner's eye can stand."""
 
-from scanmotion.cell.settings import CellSettings
+from scanmotion.cell.settings.cell import CellSettings
 from scanmotion.core.table import TableGeometry
 
 _ABOVE_M = 0.001

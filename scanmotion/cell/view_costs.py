@@ -2,7 +2,7 @@
 
 import math
 
-from scanmotion.cell.settings import CellSettings
+from scanmotion.cell.settings.cell import CellSettings
 from scanmotion.core.view_costs import ViewCosts
 from scanmotion.geometry.rest_to_rest import jerk_limited_seconds
 

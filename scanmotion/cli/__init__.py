@@ -1,20 +1,20 @@
 """The command line: `scanmotion COMMAND`; nothing heavy is imported before a command runs."""
 
 from scanmotion.cli.app import app, note_interrupts
-from scanmotion.cli.arms import reach
-from scanmotion.cli.cells import cell_app
-from scanmotion.cli.comparing import compare
+from scanmotion.cli.cells.arms import reach
+from scanmotion.cli.cells.cell_files import cell_app
+from scanmotion.cli.cells.robots import robots_app
 from scanmotion.cli.fusing import fuse
 from scanmotion.cli.geometry import holes, inspect, viewpoints
-from scanmotion.cli.looking import export, show, verify
 from scanmotion.cli.loop.accepting import acceptance
 from scanmotion.cli.loop.assessing import assess
 from scanmotion.cli.loop.calibrating import calibrate
 from scanmotion.cli.loop.jobs import job_app
 from scanmotion.cli.loop.papering import paper
-from scanmotion.cli.planning import plan
-from scanmotion.cli.robots import robots_app
-from scanmotion.cli.running import run
+from scanmotion.cli.plans.comparing import compare
+from scanmotion.cli.plans.looking import export, show, verify
+from scanmotion.cli.plans.planning import plan
+from scanmotion.cli.plans.running import run
 from scanmotion.cli.studying import layout, study_app
 
 __all__ = ["app", "main"]

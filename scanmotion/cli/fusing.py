@@ -40,7 +40,7 @@ def fuse(
     known = read_poses(poses, files) if poses is not None else {}
     with progress_bar(quiet=quiet) as progress:
         measured = measured_scans(files, known, units, progress)
-        from scanmotion.sensing.scan_files import fuse_measured
+        from scanmotion.sensing.scans.scan_files import fuse_measured
 
         fused = fuse_measured(measured, voxel=voxel * 1e-3, registered=align, progress=progress)
         if not len(fused.cloud.points):
@@ -63,7 +63,7 @@ def scan_files(paths: list[Path]) -> list[Path]:
     Raises:
         InputError: a folder without a scan.
     """
-    from scanmotion.geometry.part_files import SUFFIXES
+    from scanmotion.geometry.files.part_files import SUFFIXES
 
     files = []
     for path in paths:
@@ -114,13 +114,13 @@ def measured_scans(files: list[Path], poses: dict[str, Any], units: str, progres
     """The scans with their poses, in metres, and which way each looked.
 
     A pose file may give the viewing direction of a scan; without it the scan's own origin is the camera.
-    Without a pose the sides are worked out from all scans together (see sensing.scan_sides).
+    Without a pose the sides are worked out from all scans together (see sensing.scans.scan_sides).
     """
     import numpy as np
 
-    from scanmotion.geometry.cloud_files import cloud_from_file
-    from scanmotion.geometry.placing import UNITS
-    from scanmotion.sensing.scan_files import MeasuredScan
+    from scanmotion.geometry.parts.cloud_files import cloud_from_file
+    from scanmotion.geometry.parts.placing import UNITS
+    from scanmotion.sensing.scans.scan_files import MeasuredScan
 
     scans = []
     for number, file in enumerate(files):
@@ -146,7 +146,7 @@ def measured_scans(files: list[Path], poses: dict[str, Any], units: str, progres
 
 def write_surface(path: Path, cloud: "Cloud") -> str:
     """The surface through a cloud as binary PLY in mm; says how much it is."""
-    from scanmotion.geometry.ply import write_ply
+    from scanmotion.geometry.files.ply_write import write_ply
     from scanmotion.sensing.fusion.surface import surface
 
     vertices, triangles = surface(cloud)
@@ -156,7 +156,7 @@ def write_surface(path: Path, cloud: "Cloud") -> str:
 
 def write_cloud(path: Path, cloud: "Cloud") -> str:
     """A cloud with normals as binary PLY in mm, whole or not at all; says how much it is."""
-    from scanmotion.geometry.ply import write_ply
+    from scanmotion.geometry.files.ply_write import write_ply
 
     write_ply(path, cloud.points * 1e3, normals=cloud.normals)
     return f"{len(cloud.points)} points"

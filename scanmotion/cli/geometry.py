@@ -86,7 +86,7 @@ def draw_part(part: Any, path: Path) -> None:
     import numpy as np
 
     from scanmotion.core.errors import HoleError
-    from scanmotion.core.whole_file import write_whole
+    from scanmotion.core.support.whole_file import write_whole
     from scanmotion.report.figures.maps import hole_figure
     from scanmotion.sensing.holes.find import HoleReport
 
@@ -177,7 +177,7 @@ def dumps(document: Any) -> str:
 
 def scan_from(file: Path, units: str, up: str) -> Any:
     """A scan whose unit need not be known: holes are found relative to the spacing of its points."""
-    from scanmotion.geometry.parts import part_from_file
+    from scanmotion.geometry.parts.make_part import part_from_file
 
     return part_from_file(file, units=units or None, up=up, guess=True)
 

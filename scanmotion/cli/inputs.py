@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from scanmotion.core.errors import InputError
-from scanmotion.core.threads import allow_threads
-from scanmotion.core.whole_file import write_whole
+from scanmotion.core.support.threads import allow_threads
+from scanmotion.core.support.whole_file import write_whole
 
 if TYPE_CHECKING:
-    from scanmotion.cell.settings import CellSettings
+    from scanmotion.cell.settings.cell import CellSettings
     from scanmotion.core.part import Part
 
 PART, CELL, OUT = "What is scanned", "The cell", "Output"
@@ -102,7 +102,7 @@ def only_one(**given: object) -> str | None:
 
 def cell_from(robot: str | None, cell: Path | None) -> "CellSettings":
     """The settings that --robot or --cell name; the KR 240 where neither is given."""
-    from scanmotion.cell.settings import load_cell
+    from scanmotion.cell.settings.cell import load_cell
 
     only_one(robot=robot, cell=cell)
     if cell is not None:
@@ -118,7 +118,7 @@ def box_from(box: tuple[float, float, float]) -> "Part":
     Raises:
         InputError: a side is not a number between 1 mm and 100 m.
     """
-    from scanmotion.geometry.parts import box_part
+    from scanmotion.geometry.parts.make_part import box_part
 
     if not all(1.0 <= side <= 1e5 for side in box):
         sides = " x ".join(f"{side:g}" for side in box)
@@ -136,7 +136,7 @@ def part_and_source(
     place: str = "",
 ) -> tuple["Part", str]:
     """The part and where it comes from: "mesh", "box" or "scan"; the built-in carving where none is given."""
-    from scanmotion.geometry.parts import carving, part_from_file
+    from scanmotion.geometry.parts.make_part import carving, part_from_file
 
     given = only_one(part=part, box=box, scan=scan)
     strange = {"units": bool(units), "up": up != "+z", "place": bool(place)}
@@ -173,7 +173,7 @@ def check_out_folder(out: Path) -> None:
     """
     import os
 
-    from scanmotion.cli.complete import holds_answer
+    from scanmotion.cli.plans.complete import holds_answer
 
     if out.is_symlink() or (out.exists() and not out.is_dir()):
         raise InputError(f"--out {out}: is not a folder")

@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from scanmotion.cell.programme_settings import ProgrammeSettings
-from scanmotion.cell.settings import CellSettings, settings_from
+from scanmotion.cell.settings.cell import CellSettings, settings_from
+from scanmotion.cell.settings.programme import ProgrammeSettings
 from scanmotion.core.errors import InputError, PlanFileError
 from scanmotion.export.pose import Arm, arm_for_poses
 from scanmotion.export.source import Source, Stretch

@@ -20,8 +20,10 @@ LONGEST_NAME = 24
 """A name of RAPID has up to 32 characters; "_tool" and "M_" are added."""
 POINT_DEG, SHORTEST_S, LONGEST_S = 0.03, 0.05, 0.5
 """How far evenly timed moves may be from the planned joints [deg]; least and greatest seconds of a move."""
-BACK_S = 0.5
-"""Least time of a way back after a fault [s]."""
+PATH_SHORTEST_S = 0.02
+"""The same in a continuous motion, which scans while its joints speed up and slow down."""
+BACK_S, BACK_POINT_S = 0.5, 0.2
+"""Least time of a way back after a fault, and of each of its moves between counted points [s]."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _ODD = re.compile(r"[^A-Za-z0-9 ._()-]")
 RESERVED = frozenset(
@@ -49,11 +51,6 @@ def rapid_files(job: ExportJob) -> Files:
         raise InputError(
             f"the joints of {robot} do not turn as an ABB arm's do (A1 about z, A2, A3, A5 about y, A4, A6 "
             "about x at zero), so RAPID cannot carry them"
-        )
-    if any(o.kind == "path" for o in job.source.record.operations):
-        raise InputError(
-            "a continuous motion is not written as RAPID, whose way back after a fault of the scanner "
-            "follows one joint that only grows or only falls; csv, json and ros carry it; or --motion stops"
         )
     lines = [
         f"MODULE M_{job.name}",
@@ -145,7 +142,8 @@ def _main(job: ExportJob) -> list[str]:
 def points_of(stretch: Stretch) -> tuple[np.ndarray, np.ndarray]:
     """Seconds of each move, (k,), and the joints at its end, (k, 7) [deg]."""
     q = np.rad2deg(stretch.q)
-    knots = timed_knots(stretch.t, q, POINT_DEG, shortest=SHORTEST_S, longest=LONGEST_S)
+    shortest = PATH_SHORTEST_S if stretch.operation.kind == "path" else SHORTEST_S
+    knots = timed_knots(stretch.t, q, POINT_DEG, shortest=shortest, longest=LONGEST_S)
     return np.diff(stretch.t[knots]), q[knots[1:]]
 
 
@@ -165,43 +163,33 @@ def _moves(stretch: Stretch, job: ExportJob, *, marks: bool = False) -> list[str
 
 def _scan(n: int, stretch: Stretch, job: ExportJob) -> list[str]:
     """What scans is a procedure of its own, with an error handler that leads back to where it starts."""
-    still = np.ptp(np.rad2deg(stretch.q), axis=0).max() < 1e-5
-    lines = [f"LOCAL PROC S{n}()", "ScanOn;", *_moves(stretch, job), "ScanOff;"]
+    counts = bool(job.signals.fault_in) and stretch.operation.kind != "revolution"
+    lines = [f"LOCAL PROC S{n}()", "nAt:=0;", "ScanOn;", *_moves(stretch, job, marks=counts), "ScanOff;"]
     if not job.signals.fault_in:
         return [*lines, "ENDPROC"]
     lines += ["ERROR", "ClearPath;", "StartMove;", "ScanBad;"]
-    if not still:
-        seconds, points = points_of(stretch)
-        way = np.vstack([np.rad2deg(stretch.q[:1]), points])
-        back = way[0] if stretch.operation.kind == "revolution" else None
-        goals = [(max(float(seconds.sum()), BACK_S), back)] if back is not None else []
-        if back is None:
-            # The way that was driven, backwards, from its end on where that is nearer than where it stopped.
-            lines += _back_by_points(n, way, seconds, job)
-        for s, q in goals:
-            lines.append(MOVE.format(target=target_text(q), seconds=s, zone="fine", name=job.name))
+    if np.ptp(np.rad2deg(stretch.q), axis=0).max() >= 1e-5:
+        lines += _way_back(stretch, job)
     return [*lines, "RETURN;", "ENDPROC"]
 
 
-def _back_by_points(n: int, way: np.ndarray, seconds: np.ndarray, job: ExportJob) -> list[str]:
-    """Moves back through the points whose move had begun; the robot says itself how far it came."""
-    lines = ["jNow:=CJointT();"]
-    axis = int(np.abs(way[-1] - way[0]).argmax())
-    field = "extax.eax_a" if axis == 6 else f"robax.rax_{axis + 1}"
-    sense = np.sign(way[-1, axis] - way[0, axis]) or 1.0
+def _way_back(stretch: Stretch, job: ExportJob) -> list[str]:
+    """Moves back to where a step starts: a turn in one move, all else through the counted points.
+
+    A point is counted when the robot begins to round it, so the first move leads along what was planned.
+    """
+    seconds, points = points_of(stretch)
+    way = np.vstack([np.rad2deg(stretch.q[:1]), points])
+
+    def back(k: int, s: float) -> str:
+        return MOVE.format(target=target_text(way[k]), seconds=s, zone="fine", name=job.name)
+
+    if stretch.operation.kind == "revolution":
+        return [back(0, max(float(seconds.sum()), BACK_S))]
+    lines = []
     for k in range(len(way) - 2, 0, -1):
-        sign = ">=" if sense > 0 else "<="
-        lines += [
-            f"IF jNow.{field}{sign}{way[k, axis]:.5f} THEN",
-            MOVE.format(
-                target=target_text(way[k]), seconds=max(2 * seconds[k], 0.2), zone="fine", name=job.name
-            ),
-            "ENDIF",
-        ]
-    first = MOVE.format(
-        target=target_text(way[0]), seconds=max(2 * seconds[0], 0.2), zone="fine", name=job.name
-    )
-    return [*lines, first]
+        lines += [f"IF nAt>={k} THEN", back(k, max(2 * float(seconds[k]), BACK_POINT_S)), "ENDIF"]
+    return [*lines, back(0, max(2 * float(seconds[0]), BACK_POINT_S))]
 
 
 def _shared(job: ExportJob) -> list[str]:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from scanmotion.core.errors import InputError, PlanFileError
+from scanmotion.core.support.whole_file import write_together
 from scanmotion.core.trajectory import Operation, Trajectory
-from scanmotion.core.whole_file import write_together
 from scanmotion.plan_io.read import read_plan, read_trajectory
 from scanmotion.plan_io.schema import PlanRecord
 

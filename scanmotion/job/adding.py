@@ -9,7 +9,7 @@ import numpy as np
 
 from scanmotion.cell.build import build_cell
 from scanmotion.core.errors import InputError
-from scanmotion.core.streams import fixed_stream
+from scanmotion.core.support.streams import fixed_stream
 from scanmotion.core.viewpoint import look_at
 from scanmotion.job.frame_files import (
     INTRINSICS,
@@ -22,7 +22,7 @@ from scanmotion.job.frame_files import (
 from scanmotion.job.poses import LIST, Line, posed, read_list, read_pose_log
 from scanmotion.job.store import Job, digest, with_batch
 from scanmotion.plan_io.load import load_plan
-from scanmotion.sensing.calibration import with_poses
+from scanmotion.sensing.corrections.calibration import with_poses
 from scanmotion.sensing.simulator.captures import Captures, ScanErrors, true_poses
 from scanmotion.sensing.simulator.simulate import Scan
 

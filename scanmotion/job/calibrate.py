@@ -6,11 +6,11 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from scanmotion.cell.settings import CellSettings, settings_from
+from scanmotion.cell.settings.cell import CellSettings, settings_from
 from scanmotion.core.errors import InputError
 from scanmotion.job.store import Job
-from scanmotion.plan_io.measured import constants_by_name
-from scanmotion.sensing.calibration import PARAMETERS, Calibration, calibrate
+from scanmotion.plan_io.scans.measured import constants_by_name
+from scanmotion.sensing.corrections.calibration import PARAMETERS, Calibration, calibrate
 from scanmotion.sensing.simulator.captures import motion
 
 POINTS = 300_000

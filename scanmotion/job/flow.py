@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from scanmotion.cell.build import build_cell
-from scanmotion.cell.settings import CellSettings
+from scanmotion.cell.settings.cell import CellSettings
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
-from scanmotion.geometry.ply import write_ply
+from scanmotion.geometry.files.ply_write import write_ply
 from scanmotion.job.model import Model, Progress, model_of
 from scanmotion.job.poses import programme_captures
 from scanmotion.job.simulate import write_simulated
@@ -19,7 +19,7 @@ from scanmotion.plan_io.load import load_plan
 from scanmotion.planning.pipeline import PlanOptions, plan
 from scanmotion.planning.segment import silent
 from scanmotion.sensing.fusion.surface import surface as surface_of
-from scanmotion.sensing.scan_files import save_cloud
+from scanmotion.sensing.scans.scan_files import save_cloud
 
 _MOST_REASONS = 8
 

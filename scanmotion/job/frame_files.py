@@ -15,7 +15,7 @@ import numpy as np
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.scanner import Scanner
-from scanmotion.geometry.part_files import read_geometry
+from scanmotion.geometry.files.part_files import read_geometry
 
 CLOUDS, IMAGES = (".ply", ".pcd", ".xyz"), (".npz", ".png")
 SUFFIXES = CLOUDS + IMAGES

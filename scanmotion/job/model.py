@@ -11,15 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scanmotion.cell.settings import CalibrationSettings
+from scanmotion.cell.settings.cell import CalibrationSettings
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
 from scanmotion.job.store import Job
-from scanmotion.sensing.calibration import corrected
-from scanmotion.sensing.corrections import moved
+from scanmotion.sensing.corrections.calibration import corrected
+from scanmotion.sensing.corrections.corrected_scan import moved
+from scanmotion.sensing.corrections.registration import Registration, align, register
 from scanmotion.sensing.fusion.fuse import Cloud, fuse
 from scanmotion.sensing.holes.find import HoleReport, holes_from_cloud
-from scanmotion.sensing.registration import Registration, align, register
 from scanmotion.sensing.simulator.captures import ScanErrors
 from scanmotion.sensing.simulator.simulate import Scan
 

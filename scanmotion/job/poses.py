@@ -18,7 +18,7 @@ from scanmotion.cell.build import Cell
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.core.errors import InputError
 from scanmotion.core.trajectory import Trajectory
-from scanmotion.geometry.parts import UNITS
+from scanmotion.geometry.parts.make_part import UNITS
 from scanmotion.sensing.simulator.captures import Captures, captures_at, captures_from_trajectory
 
 LIST = "frames.csv"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from scanmotion import __version__
-from scanmotion.geometry.ply import replaced
+from scanmotion.geometry.files.ply_write import replaced
 from scanmotion.job.flow import segment_lines, state_of
 from scanmotion.job.model import Progress, model_of
 from scanmotion.job.store import Job

@@ -11,9 +11,9 @@ from scipy.interpolate import CubicHermiteSpline
 from scanmotion.cell.build import build_cell
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
-from scanmotion.core.streams import Streams
+from scanmotion.core.support.streams import Streams
 from scanmotion.core.trajectory import Trajectory
-from scanmotion.geometry.ply import ply_data, replaced
+from scanmotion.geometry.files.ply_write import ply_data, replaced
 from scanmotion.job.adding import known_constants
 from scanmotion.job.frame_files import depth_npz, intrinsics_of
 from scanmotion.job.poses import LIST, programme_captures

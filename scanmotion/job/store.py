@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from scanmotion.cell.settings import CellSettings, load_cell
+from scanmotion.cell.settings.cell import CellSettings, load_cell
 from scanmotion.core.errors import InputError
-from scanmotion.geometry.ply import replaced
-from scanmotion.sensing.scan_files import load_scan, scan_data
+from scanmotion.geometry.files.ply_write import replaced
+from scanmotion.sensing.scans.scan_files import load_scan, scan_data
 from scanmotion.sensing.simulator.simulate import Scan
 
 RECORD, CELL = "job.json", "cell.yaml"

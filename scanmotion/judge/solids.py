@@ -9,8 +9,8 @@ import fcl
 import numpy as np
 
 from scanmotion.core.errors import PartError, PlanFileError
-from scanmotion.geometry.collada import triangles_of_collada
-from scanmotion.geometry.part_files import read_geometry
+from scanmotion.geometry.files.collada import triangles_of_collada
+from scanmotion.geometry.files.part_files import read_geometry
 from scanmotion.judge.motion import Motion, UrdfArm, motion_at
 from scanmotion.plan_io.read import inside
 from scanmotion.plan_io.schema import PlanRecord

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from scanmotion.cell.arm.robot import least_singular
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.ik.slack_plant import Cost
 from scanmotion.cell.kinematics import scanner_in_object, scanner_poses, tcp_jacobian
-from scanmotion.cell.robot import least_singular
 from scanmotion.core.errors import PathError
 from scanmotion.core.tour import Path, Tour
 from scanmotion.core.viewpoint import Viewpoint

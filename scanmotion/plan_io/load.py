@@ -12,16 +12,16 @@ import numpy as np
 from pydantic import JsonValue
 
 from scanmotion.cell.build import Cell, build_cell
-from scanmotion.cell.settings import settings_from
+from scanmotion.cell.settings.cell import settings_from
 from scanmotion.core.errors import InputError, PlanFileError, ScanMotionError
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.summary import RoundSummary, Summary
 from scanmotion.core.tour import Tour
 from scanmotion.core.trajectory import Trajectory, piece
 from scanmotion.core.viewpoint import Slack, Viewpoint
-from scanmotion.geometry.part_files import read_geometry
+from scanmotion.geometry.files.part_files import read_geometry
 from scanmotion.plan_io.read import inside, read_json, read_plan, read_summary, read_trajectory
-from scanmotion.plan_io.scan_record import read_arrays, read_cloud, read_holes
+from scanmotion.plan_io.scans.scan_record import read_arrays, read_cloud, read_holes
 from scanmotion.plan_io.schema import PlanRecord, ViewpointRecord
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.plan import Plan

@@ -13,7 +13,7 @@ from scanmotion import __version__
 from scanmotion.plan_io.files import fill, fresh_folder
 from scanmotion.plan_io.save import Judge, Measure, Pages, Saved, save
 from scanmotion.plan_io.write import json_text
-from scanmotion.planning.placements import PlacedPlan, Placement
+from scanmotion.planning.placements.plan_placements import PlacedPlan, Placement
 
 MARK = "placements.json"
 

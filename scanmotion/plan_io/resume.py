@@ -11,16 +11,16 @@ import numpy as np
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.core.errors import InputError, PathError
-from scanmotion.core.streams import Streams
+from scanmotion.core.support.streams import Streams
 from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.core.trajectory import piece as piece_of
 from scanmotion.motion.transit.plan import transit
-from scanmotion.plan_io.frames import frame_files
 from scanmotion.plan_io.load import cell_of, viewpoint_of
 from scanmotion.plan_io.read import read_plan, read_trajectory
+from scanmotion.plan_io.scans.frames import frame_files
 from scanmotion.plan_io.schema import PlanRecord
 from scanmotion.plan_io.write import csv_text, json_text, trajectory_json
-from scanmotion.planning.way_home import transit_alone
+from scanmotion.planning.steps.way_home import transit_alone
 
 _THERE = 1e-5
 """So near [rad] no way back in is needed."""

@@ -12,7 +12,7 @@ from pathlib import Path
 from scanmotion.core.finding import Finding
 from scanmotion.core.summary import MarginsSummary
 from scanmotion.plan_io.files import check_names, fill, fresh_folder
-from scanmotion.plan_io.measured import scan_files
+from scanmotion.plan_io.scans.measured import scan_files
 from scanmotion.plan_io.summary import summary_from, surface_from
 from scanmotion.plan_io.write import json_text, plan_files
 from scanmotion.planning.plan import Plan

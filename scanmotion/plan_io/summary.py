@@ -23,16 +23,16 @@ from scanmotion.core.summary import (
     TimeSummary,
     WithinReach,
 )
-from scanmotion.plan_io.measured import (
+from scanmotion.plan_io.scans.measured import (
     calibration_record,
     millimetres,
     registration_records,
     surface_record,
 )
-from scanmotion.planning.budget import budget_record, coverage_of
-from scanmotion.planning.helices import MOST_LOST, Joining
 from scanmotion.planning.plan import Plan
 from scanmotion.planning.segment import Segment
+from scanmotion.planning.steps.helices import MOST_LOST, Joining
+from scanmotion.planning.worth.budget import budget_record, coverage_of
 from scanmotion.sensing.fusion.surface import surface
 
 __all__ = ["summary_from", "surface_from"]

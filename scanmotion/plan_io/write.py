@@ -10,9 +10,9 @@ from scanmotion import __version__
 from scanmotion.core.errors import InputError
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint
-from scanmotion.geometry.ply import ply_data
-from scanmotion.plan_io.frames import frame_files
-from scanmotion.plan_io.scan_record import arrays_data, hole_records
+from scanmotion.geometry.files.ply_write import ply_data
+from scanmotion.plan_io.scans.frames import frame_files
+from scanmotion.plan_io.scans.scan_record import arrays_data, hole_records
 from scanmotion.plan_io.schema import CSV_HEADER, VERSION, PlanRecord
 from scanmotion.planning.plan import Plan
 

@@ -8,23 +8,23 @@ import numpy as np
 from scanmotion.cell.build import Cell, build_cell, check_room
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.cell.settings import CellSettings
+from scanmotion.cell.settings.cell import CellSettings
 from scanmotion.cell.table_of import table_of
 from scanmotion.cell.view_costs import view_costs
 from scanmotion.core.errors import PartError
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.scanner import Scanner
-from scanmotion.core.stopwatch import Stopwatch
-from scanmotion.core.streams import Streams
+from scanmotion.core.support.stopwatch import Stopwatch
+from scanmotion.core.support.streams import Streams
 from scanmotion.core.trajectory import Trajectory
-from scanmotion.geometry.parts import check_fits, surface_samples
+from scanmotion.geometry.parts.make_part import check_fits, surface_samples
 from scanmotion.planning.evidence import Surroundings
 from scanmotion.planning.methods import Method, method_from
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.segment import Progress
 from scanmotion.sensing.closed_surface import closed_model
 from scanmotion.sensing.fusion.fuse import Cloud
-from scanmotion.sensing.measured_scan import cloud_from_part, spacing_of
+from scanmotion.sensing.scans.measured_scan import cloud_from_part, spacing_of
 from scanmotion.sensing.simulator.captures import ScanErrors, captures_from_trajectory
 from scanmotion.sensing.simulator.simulate import Scan, simulate
 from scanmotion.sensing.visibility import Scene, scene_from, visible

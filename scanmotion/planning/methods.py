@@ -13,7 +13,7 @@ import numpy as np
 
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
-from scanmotion.cell.settings import CellSettings
+from scanmotion.cell.settings.cell import CellSettings
 from scanmotion.core.part import Part
 from scanmotion.core.tour import Tour
 from scanmotion.core.viewpoint import Viewpoint

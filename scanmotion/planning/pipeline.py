@@ -12,24 +12,24 @@ from typing import Any, Literal
 import numpy as np
 
 from scanmotion.cell.collision.last_word import last_word
-from scanmotion.cell.settings import CellSettings, cell_settings_from
+from scanmotion.cell.settings.cell import CellSettings, cell_settings_from
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
 from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.core.viewpoint import Viewpoint
-from scanmotion.geometry.part_objects import part_from
+from scanmotion.geometry.parts.part_objects import part_from
 from scanmotion.motion.order.sequence import sequence
 from scanmotion.motion.reach.find import reachable_mask
-from scanmotion.planning.confidence import Confidence, Prediction, Uncertainty, confidence
 from scanmotion.planning.context import Context, Simulator, context_from
-from scanmotion.planning.continuous import better_motion, continuous_step
-from scanmotion.planning.local_rounds import local_rounds
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.plan import Plan
-from scanmotion.planning.prune import prune
 from scanmotion.planning.segment import Progress, silent
 from scanmotion.planning.state import PlanState, begin, extend, visible_from
-from scanmotion.planning.way_home import way_home
+from scanmotion.planning.steps.continuous import better_motion, continuous_step
+from scanmotion.planning.steps.local_rounds import local_rounds
+from scanmotion.planning.steps.prune import prune
+from scanmotion.planning.steps.way_home import way_home
+from scanmotion.planning.worth.confidence import Confidence, Prediction, Uncertainty, confidence
 from scanmotion.sensing.assess import accuracy
 from scanmotion.sensing.fusion.fuse import Cloud, fuse
 from scanmotion.sensing.simulator.captures import joined_captures

@@ -15,12 +15,12 @@ from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.summary import NOT_WORTH, Summary
 from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.core.viewpoint import Viewpoint
-from scanmotion.planning.confidence import Confidence
-from scanmotion.planning.helices import Joining
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.segment import Segment
+from scanmotion.planning.steps.helices import Joining
+from scanmotion.planning.worth.confidence import Confidence
 from scanmotion.sensing.assess import Accuracy, accuracy
-from scanmotion.sensing.corrections import Corrections
+from scanmotion.sensing.corrections.corrected_scan import Corrections
 from scanmotion.sensing.fusion.fuse import Cloud
 from scanmotion.sensing.holes.find import HoleReport
 from scanmotion.sensing.simulator.simulate import Scan

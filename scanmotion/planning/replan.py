@@ -4,7 +4,7 @@ Guarantees: the executed operations are kept sample by sample. Assumes that the 
 last executed operation ends.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -77,7 +77,7 @@ def replan(
         if old.cloud is None:
             raise InputError("the earlier plan has lost its measured cloud")
         state = replace(state, cloud=old.cloud)
-    state = _with_executed(ctx, state, whole, finished, views)
+    state = _with_executed(ctx, state, whole, finished, old)
     given_up = dict(old.left_out) | dict.fromkeys(failed, FAILED)
     for step in ("global", "local"):
         rest = [v for v in old.viewpoints if v.step == step and v.id not in served and v.id not in given_up]
@@ -140,26 +140,30 @@ def _with_executed(
     state: PlanState,
     whole: Trajectory,
     finished: Sequence[Operation],
-    views: dict[str, Viewpoint],
+    old: Plan,
 ) -> PlanState:
     """The state where the finished operations end, with a segment for each step among them."""
+    views = {v.id: v for v in old.viewpoints}
     steps = ["local" if any(views[v].step == "local" for v in o.viewpoints) else "global" for o in finished]
     first = 0
     while first < len(finished):
         last = first
         while last + 1 < len(finished) and steps[last + 1] == steps[first]:
             last += 1
-        segment = _executed(ctx, piece(whole, first, last), views, steps[first])
+        segment = _executed(ctx, piece(whole, first, last), views, steps[first], old.solvers)
         state = with_segment(ctx, state, segment, ctx.rng("executed", first, last))
         first = last + 1
     return state
 
 
-def _executed(ctx: Context, part: Trajectory, views: dict[str, Viewpoint], step: str) -> Segment:
-    """The segment that a piece of trajectory has served, with its lower bound."""
+def _executed(
+    ctx: Context, part: Trajectory, views: dict[str, Viewpoint], step: str, solvers: Mapping[str, str]
+) -> Segment:
+    """The segment that a piece of trajectory has served, with its lower bound and who found its poses."""
     found = segment_from_operations(part, views, step=step, floor=0.0)
     floor = floor_seconds(ctx.cell, move_model(ctx.cell), part.q[0], found.tour.stops, views)
-    return replace(found, tour=replace(found.tour, floor=floor))
+    reaches = tuple(replace(r, solver=solvers.get(r.viewpoint.id, "")) for r in found.reaches)
+    return replace(found, reaches=reaches, tour=replace(found.tour, floor=floor))
 
 
 def _with_lost(segment: Segment, lost: Sequence[Viewpoint], reasons: dict[str, str]) -> Segment:

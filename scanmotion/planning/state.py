@@ -13,9 +13,9 @@ from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.planning.context import Context, Simulator
 from scanmotion.planning.evidence import Evidence, no_evidence
-from scanmotion.planning.helices import Joining, fastest_form
 from scanmotion.planning.segment import Segment, segment_from
-from scanmotion.sensing.corrections import Corrections, corrected_scan
+from scanmotion.planning.steps.helices import Joining, fastest_form
+from scanmotion.sensing.corrections.corrected_scan import Corrections, corrected_scan
 from scanmotion.sensing.fusion.fuse import Cloud, fuse
 from scanmotion.sensing.fusion.merge import merged
 from scanmotion.sensing.holes.find import HoleReport

@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from scanmotion.cell.settings import CellSettings
+from scanmotion.cell.settings.cell import CellSettings
 from scanmotion.core.part import Part
-from scanmotion.core.streams import Streams
-from scanmotion.motion.order.tsp import tour_from_cost
-from scanmotion.planning.comparison import HEADER, Row, cells, compare
+from scanmotion.core.support.streams import Streams
+from scanmotion.motion.order.salesman.tsp import tour_from_cost
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.pipeline import plan
 from scanmotion.planning.plan import Plan
+from scanmotion.planning.worth.comparison import HEADER, Row, cells, compare
 from scanmotion.report.assessment import Assessment, histogram_figure, map_figure
 from scanmotion.report.figures.maps import coverage_figure, hole_figure, new_figure, reach_figure
 from scanmotion.report.html import image, page, table
@@ -118,7 +118,7 @@ def tour_lengths(places: np.ndarray, *, rng: np.random.Generator) -> TourLengths
 
 def paper_record(it: PaperExperiments) -> dict[str, Any]:
     """The page's figures for machines."""
-    from scanmotion.planning.comparison import document
+    from scanmotion.planning.worth.comparison import document
 
     t, time_s, exact = it.tour, it.made.time_s(), it.made.accuracy()
     before, after = PAPER_TOUR_MM

@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 
-from scanmotion.planning.placements import PlacedPlan, Placement
+from scanmotion.planning.placements.plan_placements import PlacedPlan, Placement
 from scanmotion.report.figures.maps import new_figure
 
 _SIDE, _TOP = (0, 2), (0, 1)

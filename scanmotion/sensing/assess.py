@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part, SurfaceSamples
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 
 
 @dataclass(frozen=True, kw_only=True)

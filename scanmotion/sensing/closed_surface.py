@@ -15,7 +15,7 @@ from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter, map_
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import HoleError
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.jit import njit
 
 _MAX_CELLS = 220

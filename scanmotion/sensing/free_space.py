@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from scanmotion.core.scanner import Scanner
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.jit import njit, prange
 
 _BAND = 4

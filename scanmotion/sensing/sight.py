@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scanmotion.core.scanner import Scanner
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.jit import njit
 from scanmotion.sensing.visibility import Scene
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from scanmotion.core.scanner import Scanner
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.jit import njit, prange
 from scanmotion.geometry.se3 import turns_about_z
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from scanmotion import __version__
-from scanmotion.cell.settings import CellSettings, settings_from
+from scanmotion.cell.settings.cell import CellSettings, settings_from
 from scanmotion.core.errors import ScanMotionError
 from scanmotion.core.part import Part
 from scanmotion.studies.settings import Case
@@ -97,9 +97,9 @@ def _planned(
     case: Case, settings: CellSettings, part: Part, keep_in: Path | None
 ) -> tuple[dict[str, float | None], str, str]:
     """Figures of a whole plan, the reason where there is none, and the hash of its files."""
-    from scanmotion.planning.comparison import VARIANTS
     from scanmotion.planning.options import PlanOptions
     from scanmotion.planning.pipeline import plan
+    from scanmotion.planning.worth.comparison import VARIANTS
 
     options = replace(
         PlanOptions(source=case.source, seed=case.seed, **case.options), **VARIANTS[case.method]

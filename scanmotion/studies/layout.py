@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from scanmotion.cell.settings import CellSettings, load_cell
+from scanmotion.cell.settings.cell import CellSettings, load_cell
 from scanmotion.core.errors import InputError
 from scanmotion.studies import table
 from scanmotion.studies.run import Progress, StudyOptions, study

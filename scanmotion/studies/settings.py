@@ -16,12 +16,12 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from scanmotion import __version__
-from scanmotion.cell.settings import CellSettings, load_cell, settings_from
+from scanmotion.cell.settings.cell import CellSettings, load_cell, settings_from
 from scanmotion.core.errors import CellError, InputError
 from scanmotion.core.part import Part
-from scanmotion.geometry.parts import box_part, carving, part_from_file
-from scanmotion.planning.comparison import VARIANTS
+from scanmotion.geometry.parts.make_part import box_part, carving, part_from_file
 from scanmotion.planning.options import PlanOptions
+from scanmotion.planning.worth.comparison import VARIANTS
 
 Kind = Literal["plan", "reach", "viewpoints"]
 MOST_CASES = 1_000_000

@@ -11,9 +11,9 @@ from scipy.spatial import ConvexHull
 from scanmotion.core.errors import PartError
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
-from scanmotion.core.streams import fixed_stream
+from scanmotion.core.support.streams import fixed_stream
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
-from scanmotion.geometry.parts import surface_samples
+from scanmotion.geometry.parts.make_part import surface_samples
 from scanmotion.views.stepped_rotary import UPRIGHT
 
 _OVERLAP = 0.10

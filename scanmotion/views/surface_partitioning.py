@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 from scanmotion.core.errors import PartError
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
-from scanmotion.core.streams import fixed_stream
+from scanmotion.core.support.streams import fixed_stream
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
-from scanmotion.geometry.parts import surface_samples
+from scanmotion.geometry.parts.make_part import surface_samples
 
 _SHARE = 0.85
 _SAMPLES = 6000

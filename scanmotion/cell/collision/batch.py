@@ -3,6 +3,7 @@
 import numpy as np
 from numba import njit
 
+from scanmotion.cell.arm.robot import Body
 from scanmotion.cell.collision.shapes import inside_shape
 from scanmotion.cell.collision.sphere_filter import (
     _box,
@@ -13,7 +14,6 @@ from scanmotion.cell.collision.sphere_filter import (
     margin,
 )
 from scanmotion.cell.model import TOOL, Cell
-from scanmotion.cell.robot import Body
 from scanmotion.geometry.chain import link_frames
 
 

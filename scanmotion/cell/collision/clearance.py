@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from scanmotion.cell.arm.robot import Body
 from scanmotion.cell.collision.batch import first_free, lattice, sure_points, surely_blocked, tool_blocked
 from scanmotion.cell.collision.shapes import box_of, fcl_object
 from scanmotion.cell.collision.sphere_filter import edge_free, edges_free, filter_from, margins
 from scanmotion.cell.kinematics import link_poses, object_poses
 from scanmotion.cell.model import TOOL, Cell
-from scanmotion.cell.robot import Body
 from scanmotion.geometry.se3 import inverse_poses
 
 PAD_M = 0.004

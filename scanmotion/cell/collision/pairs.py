@@ -9,9 +9,9 @@ from itertools import product
 import fcl
 import numpy as np
 
+from scanmotion.cell.arm.robot import Body, Robot, arm_poses
 from scanmotion.cell.collision.shapes import fcl_object
 from scanmotion.cell.model import TOOL, Cell
-from scanmotion.cell.robot import Body, Robot, arm_poses
 
 IGNORED_PAIRS = frozenset({(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (0, 2), (4, 6), (6, 7), (5, 7)})
 """Links that touch by construction, or whose boxes meet where the robot's bodies do not (robots.md 1.5).

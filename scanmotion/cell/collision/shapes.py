@@ -5,7 +5,7 @@ import functools
 import fcl
 import numpy as np
 
-from scanmotion.cell.robot import Body
+from scanmotion.cell.arm.robot import Body
 from scanmotion.geometry.convex import Hull, hull_from
 
 

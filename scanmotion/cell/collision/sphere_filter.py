@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from scanmotion.cell.arm.robot import Body
 from scanmotion.cell.collision.pairs import ignored, on_floor
 from scanmotion.cell.collision.shapes import beyond, box_of
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
-from scanmotion.cell.robot import Body
 from scanmotion.core.part import Part
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.chain import link_frames
 
 _CELL_M = (0.30, 0.24, 0.17, 0.14, 0.09, 0.08, 0.06, 0.05)

@@ -5,10 +5,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from scanmotion.cell.arm.robot import Robot, Solved
 from scanmotion.cell.ik.opw import opw_arm
 from scanmotion.cell.ik.parallel import parallel_arm
 from scanmotion.cell.ik.turned_opw import turned_arm
-from scanmotion.cell.robot import Robot, Solved
 
 
 @functools.lru_cache(maxsize=16)

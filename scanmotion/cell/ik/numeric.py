@@ -9,8 +9,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
 from pydrake.solvers import SnoptSolver, SolverOptions
 
-from scanmotion.cell.robot import Robot, Solved, arm_jacobian, arm_poses, clean_angle, least_singular
-from scanmotion.core.streams import fixed_stream
+from scanmotion.cell.arm.robot import Robot, Solved, arm_jacobian, arm_poses, clean_angle, least_singular
+from scanmotion.core.support.streams import fixed_stream
 
 SEEDS = 12
 _NEAR_M, _NEAR_RAD = 1e-3, 1e-2

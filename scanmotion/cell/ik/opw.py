@@ -8,8 +8,8 @@ from py_opw_kinematics import KinematicModel
 from py_opw_kinematics import Robot as OpwRobot
 from scipy.spatial.transform import RigidTransform
 
-from scanmotion.cell.robot import Robot, Solved, arm_poses
-from scanmotion.core.streams import fixed_stream
+from scanmotion.cell.arm.robot import Robot, Solved, arm_poses
+from scanmotion.core.support.streams import fixed_stream
 
 _EDGE_M = 1e-10
 """A wrist this near to the edge of the reach is taken for on it, and solved as far inside [m]."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scanmotion.cell.robot import Robot, Solved, arm_poses, clean_angle, least_singular, rotations
+from scanmotion.cell.arm.robot import Robot, Solved, arm_poses, clean_angle, least_singular, rotations
 
 _EDGE_M = 1e-9
 """A wrist this far outside the reach is taken for on its edge [m]."""

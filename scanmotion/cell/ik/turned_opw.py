@@ -11,9 +11,9 @@ import numpy as np
 from py_opw_kinematics import KinematicModel
 from py_opw_kinematics import Robot as OpwRobot
 
+from scanmotion.cell.arm.robot import Robot, Solved, arm_jacobian, arm_poses, clean_angle, inverse_poses
 from scanmotion.cell.ik.opw import OpwArm
-from scanmotion.cell.robot import Robot, Solved, arm_jacobian, arm_poses, clean_angle, inverse_poses
-from scanmotion.core.streams import fixed_stream
+from scanmotion.core.support.streams import fixed_stream
 
 _SQUARE = 1e-4
 """Axes this near to right angles, and this near to one another [rad, m], are taken for so; see `polished`."""

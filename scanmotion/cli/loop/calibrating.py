@@ -80,9 +80,9 @@ def _propose(
     """Says which turns tell the constants best, and how well."""
     import numpy as np
 
-    from scanmotion.geometry.parts import carving, part_from_file
-    from scanmotion.plan_io.measured import constants_by_name
-    from scanmotion.sensing.calibration_plan import best_turns, candidate_turns
+    from scanmotion.geometry.parts.make_part import carving, part_from_file
+    from scanmotion.plan_io.scans.measured import constants_by_name
+    from scanmotion.sensing.corrections.calibration_plan import best_turns, candidate_turns
     from scanmotion.sensing.simulator.captures import ScanErrors
 
     settings = cell_from(robot, cell)

@@ -101,7 +101,7 @@ def add(
     for option, path in (("--frames", frames_list), ("--log", log), ("--intrinsics", intrinsics)):
         if path is not None:
             check_file(option, path)
-    from scanmotion.geometry.parts import UNITS, part_from_file
+    from scanmotion.geometry.parts.make_part import UNITS, part_from_file
     from scanmotion.job.adding import AddOptions, add_frames
     from scanmotion.job.flow import simulated_frames
     from scanmotion.job.store import load_job

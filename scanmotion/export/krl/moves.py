@@ -16,8 +16,8 @@ MOST_POINTS = 300
 """Points of one operation: a block of them, with the way back, still fits into a page."""
 PTP_DEG, SCAN_DEG = 0.05, 0.01
 """How far a joint may be from the planned path between two PTP points, and so where it scans [deg]."""
-CUT_DEG = 0.2
-"""C_PTP rounds a corner by no more than this [deg]."""
+CUT_DEG, PATH_CUT_DEG = 0.2, 0.03
+"""C_PTP rounds a corner by no more than this [deg]; so in a continuous motion, which scans at its corners."""
 LIN_M, LIN_RAD = 0.2e-3, np.deg2rad(0.05)
 """How far the scanner may be from the planned path between two LIN points."""
 SPLINE_DEG = 0.002
@@ -81,10 +81,12 @@ def classic_block(stretch: Stretch, job: ExportJob) -> KrlBlock:
         return _wait(stretch, job)
     if stretch.operation.kind == "sweep":
         return _sweep(stretch, job)
-    q = np.rad2deg(stretch.q)
-    knots, away = polyline_knots(q, SCAN_DEG if stretch.operation.scanning else PTP_DEG, most=MOST_POINTS)
+    q, whole = np.rad2deg(stretch.q), stretch.operation.kind == "path"
+    knots, away = polyline_knots(
+        q, SCAN_DEG if stretch.operation.scanning else PTP_DEG, most=PATH_POINTS if whole else MOST_POINTS
+    )
     lines, points, last, rounded, apo = [], q[knots], 0, 0.0, 0
-    marks = stretch.operation.kind == "helix"
+    marks, cut = stretch.operation.kind in ("helix", "path"), PATH_CUT_DEG if whole else CUT_DEG
     percents = ptp_percents(stretch, knots, job)
     for i in range(1, len(knots)):
         percent = max(percents[i - 1] * DRY_PERCENT // 100, 1) if job.dry_run else percents[i - 1]
@@ -93,7 +95,7 @@ def classic_block(stretch: Stretch, job: ExportJob) -> KrlBlock:
             last = percent
         suffix = ""
         if i + 1 < len(knots):
-            share = rounding(points[i - 1 : i + 2])
+            share = rounding(points[i - 1 : i + 2], cut)
             if share != apo:
                 lines.append(f"$APO.CPTP={share}")
                 apo = share
@@ -102,13 +104,14 @@ def classic_block(stretch: Stretch, job: ExportJob) -> KrlBlock:
             lines.append(f"TRIGGER WHEN DISTANCE=1 DELAY=0 DO {job.name}_AT={i}")
         lines.append(f"PTP {axes(points[i])}{suffix}")
     lines.append(f"{job.name}_SPD (100)")
-    return KrlBlock(lines=tuple(lines), back=_back(stretch, points, job), away=away, cut=rounded)
+    back = _back_along(stretch, knots, job) if whole else _back(stretch, points, job)
+    return KrlBlock(lines=tuple(lines), back=back, away=away, cut=rounded)
 
 
-def rounding(points: np.ndarray) -> int:
-    """$APO.CPTP of the middle of three points, shape (3, k) [deg]: the greatest that cuts CUT_DEG at most."""
+def rounding(points: np.ndarray, cut: float = CUT_DEG) -> int:
+    """$APO.CPTP of the middle of three points, shape (3, k) [deg]: the greatest that cuts `cut` at most."""
     bend = float(np.abs(points[0] - 2 * points[1] + points[2]).max())
-    return int(np.clip(np.floor(8 * CUT_DEG / max(bend, 1e-9) * 100), 1, 100))
+    return int(np.clip(np.floor(8 * cut / max(bend, 1e-9) * 100), 1, 100))
 
 
 def cut_of(points: np.ndarray, share: int) -> float:

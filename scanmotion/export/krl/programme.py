@@ -75,11 +75,6 @@ def timed_files(job: ExportJob) -> Files:
 def _files(job: ExportJob, manner: Manner) -> Files:
     krl_name(job.name)
     record = job.source.record
-    if manner is CLASSIC and any(o.kind == "path" for o in record.operations):
-        raise InputError(
-            "a continuous motion lives by its times, which PTP does not keep: take --to krl-timed, "
-            "or plan with --motion stops"
-        )
     if np.abs(job.arm.axes_at_zero() - KUKA_AXES).max() > 1e-3:
         raise InputError(
             f"the joints of {remark(record.robot, 'robot')} do not turn as a KUKA arm's do (along x at "

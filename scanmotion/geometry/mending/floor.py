@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scanmotion.core.streams import fixed_stream
+from scanmotion.core.support.streams import fixed_stream
 
 _TRIES = 400
 _TILT = np.cos(np.deg2rad(8.0))

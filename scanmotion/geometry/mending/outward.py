@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 
 _RAYS = 1500
 _COARSE = 150

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scanmotion.core.streams import fixed_stream
+from scanmotion.core.support.streams import fixed_stream
 from scanmotion.geometry.mending.edges import areas_of, bodies_of, pieces
 
 _ISLAND = 0.05

@@ -186,6 +186,11 @@ def _tool(controller: Controller, system: dict[Any, Any]) -> list[Finding]:
         if abs(load["M"] - controller.mass) > 1e-3 or np.abs(np.subtract(told, centre)).max() > 1e-4:
             text = f"the load is {load['M']} kg at {told}, the cell's tool {controller.mass} kg at {centre}"
             findings.append(Finding(code="limits", message=text, where="load"))
+        half = np.array(controller.record.X_FS)[:3, 3] / 2
+        most = 4 * controller.mass * max(float(half @ half), 0.02**2)
+        if not all(0 <= load["J"][k] <= most for k in "XYZ") or any(load["CM"][k] for k in "ABC"):
+            text = f"the load's inertia {load['J']} kg m2 is none of {controller.mass} kg within the fixture"
+            findings.append(Finding(code="limits", message=text, where="load"))
     except (TypeError, KeyError):
         findings.append(Finding(code="limits", message="tool, base or load are not set", where="tool"))
     return findings
@@ -281,7 +286,7 @@ def _times_out(controller: Controller, what: str, limit: float) -> list[Finding]
     halts = run.said("halt")
     moves = np.flatnonzero(np.abs(np.diff(run.q, axis=0)).max(axis=1) > 1e-9) + 1
     before = [run.t[moves[run.t[moves] <= h.t][-1]] for h in halts[:1] if (run.t[moves] <= h.t).any()]
-    still = halts[0].t - before[0] if before else 0.0
+    still = halts[0].t - (before[0] if before else run.t[0]) if halts else 0.0
     if run.ended and _spoke(run) and len(halts) == 1 and -0.02 <= still - limit < 0.5:
         return []
     text = f"a scanner that is late to be {what} is waited for {still:.1f} s, not {limit:g} s and a message"

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from scanmotion.cell.programme_settings import ProgrammeSettings
-from scanmotion.cell.settings import CellSettings, settings_from
+from scanmotion.cell.settings.cell import CellSettings, settings_from
+from scanmotion.cell.settings.programme import ProgrammeSettings
 from scanmotion.core.errors import PlanFileError
 from scanmotion.core.trajectory import Operation, Trajectory
 from scanmotion.judge.motion import arm_from_urdf
-from scanmotion.judge.programme.krl import read_krl
+from scanmotion.judge.programme.language.krl import read_krl
+from scanmotion.judge.programme.language.rapid import read_rapid
+from scanmotion.judge.programme.language.statements import Programme
 from scanmotion.judge.programme.machine import Machine
 from scanmotion.judge.programme.paths import Drive
-from scanmotion.judge.programme.rapid import read_rapid
-from scanmotion.judge.programme.statements import Programme
 from scanmotion.judge.programme.world import Run, World
 from scanmotion.plan_io.read import read_json, read_plan, read_text, read_trajectory
 from scanmotion.plan_io.schema import PlanRecord

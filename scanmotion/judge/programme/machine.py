@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from scanmotion.core.errors import PlanFileError
-from scanmotion.judge.programme import statements as st
-from scanmotion.judge.programme.expressions import Name, member, value_of
+from scanmotion.judge.programme.language import statements as st
+from scanmotion.judge.programme.language.expressions import Name, member, value_of
 from scanmotion.judge.programme.motions import AXES, Ended, Left, Mover, Resumed, Returned, Stopped
 from scanmotion.judge.programme.paths import TICK_S, Drive
+from scanmotion.judge.programme.system_variables import check_setting
 from scanmotion.judge.programme.world import Run, World
 
 _MOST_STATEMENTS, _MOST_S, _MOST_DEEP = 400_000, 20_000.0, 40
@@ -213,8 +214,7 @@ class Machine(Mover):
             return None
         values = scope.values if word in scope.values else self.data if word in self.data else None
         if values is None:
-            if not word.startswith("$") and word not in ("TOOL_DATA", "LOAD_DATA", "BASE_DATA"):
-                raise PlanFileError(f"{word} is not declared")
+            check_setting(word, index, name.field, value)
             self.system[word, index, name.field] = value
         elif index is not None:
             if not 1 <= index <= self.programme.sizes.get(word, index):

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scanmotion.core.errors import PlanFileError
-from scanmotion.judge.programme import statements as st
+from scanmotion.judge.programme.language import statements as st
 from scanmotion.judge.programme.paths import TICK_S, Drive, Driven, linear, point_to_point, timed_spline
 from scanmotion.judge.programme.world import Event, World
 

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from scanmotion.cell.programme_settings import ProgrammeSettings
+from scanmotion.cell.settings.programme import ProgrammeSettings
 
 
 class World(Protocol):

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from scanmotion.cell.arm.robot import inverse_poses
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.kinematics import branches, scanner_poses
-from scanmotion.cell.robot import inverse_poses
-from scanmotion.geometry.revolved import swept_part
+from scanmotion.geometry.parts.revolved import swept_part
 from scanmotion.motion.continuous.search import Nodes
 from scanmotion.motion.transit_cost import PlacedNodes, move_matrix, move_model, placed_nodes
 

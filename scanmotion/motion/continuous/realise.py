@@ -10,9 +10,9 @@ from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.kinematics import branches, scanner_poses
 from scanmotion.core.tour import Stop
 from scanmotion.motion.continuous.search import Choice, Nodes
+from scanmotion.motion.profile.spline import STEP_M, STEP_RAD
 from scanmotion.motion.timing.helix import way_law
 from scanmotion.motion.timing.path import PathMotion, path_motion, turns_in
-from scanmotion.motion.timing.spline import STEP_M, STEP_RAD
 from scanmotion.motion.transit.drive import transit_spline
 from scanmotion.motion.transit.plan import samples_free
 from scanmotion.motion.transit.straight_line import chord

@@ -11,7 +11,7 @@ import numpy as np
 from scanmotion.core.tour import Stop
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.geometry.rest_to_rest import jerk_limited_seconds
-from scanmotion.motion.order.tour_bound import best_closed_tour, one_tree_bound
+from scanmotion.motion.order.salesman.tour_bound import best_closed_tour, one_tree_bound
 from scanmotion.motion.transit_cost import MoveModel
 
 if TYPE_CHECKING:

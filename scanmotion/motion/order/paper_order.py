@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from scanmotion.cell.robot import clean_angle
+from scanmotion.cell.arm.robot import clean_angle
 from scanmotion.core.viewpoint import Viewpoint
+from scanmotion.motion.order.salesman.tsp import TourOptions, tour_from_cost
 from scanmotion.motion.order.stops import Group
-from scanmotion.motion.order.tsp import TourOptions, tour_from_cost
 
 _FIXED_RAD = 1e-6
 """How far from zero the table may stand to count as not turned [rad]."""

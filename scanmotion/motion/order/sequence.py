@@ -10,10 +10,11 @@ import numpy as np
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.tour import Stop, Tour
-from scanmotion.motion.order.generalised_tsp import search
 from scanmotion.motion.order.given_order import given_order
 from scanmotion.motion.order.lower_bound import floor_seconds
 from scanmotion.motion.order.paper_order import paper_order
+from scanmotion.motion.order.salesman.generalised_tsp import search
+from scanmotion.motion.order.salesman.tsp import TourOptions, tour_from_cost
 from scanmotion.motion.order.stops import (
     Group,
     PathFree,
@@ -25,7 +26,6 @@ from scanmotion.motion.order.stops import (
     thinned_stops,
 )
 from scanmotion.motion.order.sweeps import straight_runs, sweep_group
-from scanmotion.motion.order.tsp import TourOptions, tour_from_cost
 from scanmotion.motion.transit_cost import MoveModel, joined_nodes, move_matrix, move_model, stop_seconds
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 
 from scanmotion.core.tour import StopKind
 from scanmotion.core.viewpoint import Viewpoint
-from scanmotion.motion.order.generalised_tsp import cheapest_apart, most_different
+from scanmotion.motion.order.salesman.generalised_tsp import cheapest_apart, most_different
 from scanmotion.motion.transit_cost import (
     MoveModel,
     PlacedNodes,

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from scanmotion.cell.arm.robot import clean_angle
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.kinematics import scanner_in_object
-from scanmotion.cell.robot import clean_angle
 from scanmotion.motion.reach.find import Reach, ReachOptions
 from scanmotion.motion.reach.ik_candidates import ik_candidates
 

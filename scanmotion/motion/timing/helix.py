@@ -14,9 +14,9 @@ from scanmotion.cell.build import Cell
 from scanmotion.core.errors import TimingError
 from scanmotion.core.tour import Stop
 from scanmotion.core.trajectory import OperationKind
-from scanmotion.motion.timing.jerk_limited import RuckigLaw, TimeLaw, ruckig_law
-from scanmotion.motion.timing.speed_profile import MARGIN
-from scanmotion.motion.timing.spline import JointSpline
+from scanmotion.motion.profile.jerk_limited import RuckigLaw, TimeLaw, ruckig_law
+from scanmotion.motion.profile.speed_profile import MARGIN
+from scanmotion.motion.profile.spline import JointSpline
 from scanmotion.motion.transit.drive import limits_of, positions, transit_law
 
 TURN = 2 * np.pi

@@ -16,11 +16,11 @@ from scanmotion.cell.kinematics import scanner_in_object
 from scanmotion.core.errors import TimingError
 from scanmotion.core.tour import Path, Stop, Tour
 from scanmotion.core.trajectory import Operation, OperationKind, Trajectory
+from scanmotion.motion.profile.jerk_limited import ruckig_law
+from scanmotion.motion.profile.speed_profile import MARGIN, parameter_grid
+from scanmotion.motion.profile.spline import JointSpline, spline_beside, spline_through
 from scanmotion.motion.timing.helix import HelixMotion, helix_motion
-from scanmotion.motion.timing.jerk_limited import ruckig_law
 from scanmotion.motion.timing.path import PathMotion, path_motion
-from scanmotion.motion.timing.speed_profile import MARGIN, parameter_grid
-from scanmotion.motion.timing.spline import JointSpline, spline_beside, spline_through
 from scanmotion.motion.transit.drive import emitted_law, limits_of
 
 SAMPLE_S = 0.01

@@ -15,9 +15,9 @@ from scanmotion.cell.build import Cell
 from scanmotion.core.errors import TimingError
 from scanmotion.core.tour import Stop
 from scanmotion.core.trajectory import OperationKind
+from scanmotion.motion.profile.jerk_limited import RuckigLaw, TimeLaw
+from scanmotion.motion.profile.spline import JointSpline
 from scanmotion.motion.timing.helix import table_law, way_law
-from scanmotion.motion.timing.jerk_limited import RuckigLaw, TimeLaw
-from scanmotion.motion.timing.spline import JointSpline
 from scanmotion.motion.transit.drive import limits_of
 from scanmotion.motion.transit_cost import jerk_limited_seconds
 

@@ -8,9 +8,9 @@ from numba import njit
 
 from scanmotion.cell.build import Cell
 from scanmotion.core.errors import TimingError
-from scanmotion.motion.timing.jerk_limited import TimeLaw, fastest_law, law_with
-from scanmotion.motion.timing.speed_profile import Derivatives, Limits, parameter_grid, profile_floor
-from scanmotion.motion.timing.spline import JointSpline, spline_beside, subdivided
+from scanmotion.motion.profile.jerk_limited import TimeLaw, fastest_law, law_with
+from scanmotion.motion.profile.speed_profile import Derivatives, Limits, parameter_grid, profile_floor
+from scanmotion.motion.profile.spline import JointSpline, spline_beside, subdivided
 from scanmotion.motion.transit_cost import MoveModel, move_model, scanner_positions
 
 log = logging.getLogger(__name__)
@@ -108,7 +108,7 @@ def emitted_law(cell: Cell, q: np.ndarray) -> tuple[JointSpline, TimeLaw]:
 
 @functools.lru_cache(maxsize=512)
 def _emitted_law(cell: Cell, k: int, data: bytes) -> tuple[JointSpline, TimeLaw]:
-    from scanmotion.motion.timing.toppra_profile import toppra_profile
+    from scanmotion.motion.profile.toppra_profile import toppra_profile
 
     path, law = transit_law(cell, np.frombuffer(data).reshape(k, 7))
     try:

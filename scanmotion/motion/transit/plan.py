@@ -15,7 +15,7 @@ from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.kinematics import tcp_jacobian
 from scanmotion.core.errors import PathError
 from scanmotion.core.tour import Path, PathMethod, Tour
-from scanmotion.motion.timing.spline import STEP_M, STEP_RAD, evenly_spaced, subdivided
+from scanmotion.motion.profile.spline import STEP_M, STEP_RAD, evenly_spaced, subdivided
 from scanmotion.motion.transit.drive import (
     floor_along,
     positions,

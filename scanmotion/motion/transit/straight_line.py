@@ -12,8 +12,8 @@ from scanmotion.cell.build import Cell
 from scanmotion.cell.kinematics import tcp_jacobian
 from scanmotion.core.tour import PathMethod
 from scanmotion.geometry.rest_to_rest import trapezoid_seconds
-from scanmotion.motion.timing.jerk_limited import ruckig_law
-from scanmotion.motion.timing.spline import STEP_M, STEP_RAD, step_counts
+from scanmotion.motion.profile.jerk_limited import ruckig_law
+from scanmotion.motion.profile.spline import STEP_M, STEP_RAD, step_counts
 from scanmotion.motion.transit.drive import positions, transit_limits
 
 _TABLE = 6

@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 
 from scanmotion.cell.build import Cell
 from scanmotion.core.part import Part
-from scanmotion.core.streams import fixed_stream
+from scanmotion.core.support.streams import fixed_stream
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint
-from scanmotion.geometry.parts import surface_samples
+from scanmotion.geometry.parts.make_part import surface_samples
 from scanmotion.planning.plan import Plan
 from scanmotion.report.figures import palette
 from scanmotion.report.figures.labels import add_labels

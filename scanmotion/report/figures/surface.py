@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.part import Part, SurfaceSamples
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.planning.plan import Plan
 from scanmotion.report.figures.palette import HIDDEN, MISSED, SEEN_GLOBAL, SEEN_LOCAL, STATUS_COLOURS, rgb
 

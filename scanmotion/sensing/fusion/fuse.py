@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import InputError
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.sensing.fusion.moving_least_squares import fitted
 from scanmotion.sensing.fusion.voxels import averaged, extent, grouped
 from scanmotion.sensing.simulator.simulate import Scan

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
-from scanmotion.geometry.ply import ply_data, replaced
+from scanmotion.geometry.files.ply_write import ply_data, replaced
 from scanmotion.sensing.assess import signed_distances
 from scanmotion.sensing.fusion.fuse import Cloud
 

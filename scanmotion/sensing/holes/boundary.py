@@ -12,10 +12,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import HoleError
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.jit import njit, prange
-from scanmotion.sensing.cloud.orient import signs_by_spanning_tree
 from scanmotion.sensing.holes.angle_gaps import exceeds_gap
+from scanmotion.sensing.holes.orient import signs_by_spanning_tree
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

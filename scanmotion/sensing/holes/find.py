@@ -11,9 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from scanmotion.core.errors import HoleError
-from scanmotion.core.streams import fixed_stream
-from scanmotion.sensing.cloud.orient import signs_by_spanning_tree
-from scanmotion.sensing.cloud.sampling import even_samples, prepared
+from scanmotion.core.support.streams import fixed_stream
 from scanmotion.sensing.holes.boundary import check_points, check_unit, neighbour_radius
 from scanmotion.sensing.holes.loops import (
     Kind,
@@ -27,8 +25,10 @@ from scanmotion.sensing.holes.loops import (
     winding,
 )
 from scanmotion.sensing.holes.mesh_loops import MeshLoops, mesh_loops
+from scanmotion.sensing.holes.orient import signs_by_spanning_tree
 from scanmotion.sensing.holes.paper_clusters import literal_rims
 from scanmotion.sensing.holes.rims import Rim, Sampling, rims_of
+from scanmotion.sensing.holes.sampling import even_samples, prepared
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

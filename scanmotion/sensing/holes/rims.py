@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.sensing.holes.boundary import plane_fits
 from scanmotion.sensing.holes.loops import facing, inscribed_radius, ordered_loop
 from scanmotion.sensing.holes.voronoi_gaps import RimSet, cell_radii, rim_set

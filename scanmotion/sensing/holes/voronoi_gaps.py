@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.jit import njit, prange
 
 CAP = 3.0

@@ -13,9 +13,9 @@ import numpy as np
 
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
-from scanmotion.core.streams import Streams
+from scanmotion.core.support.streams import Streams
 from scanmotion.core.viewpoint import look_at
-from scanmotion.geometry.parts import box_part
+from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.sensing.fusion.fuse import fuse
 from scanmotion.sensing.metrology.artefacts import BallBar, Plane, ball_bar_from, plane_from
 from scanmotion.sensing.simulator.captures import ScanErrors, motion

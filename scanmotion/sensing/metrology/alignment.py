@@ -16,7 +16,7 @@ import numpy as np
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.sensing.assess import raycaster
 from scanmotion.sensing.simulator.captures import motion
 

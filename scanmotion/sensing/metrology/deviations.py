@@ -15,9 +15,9 @@ from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part, SurfaceSamples
-from scanmotion.core.streams import fixed_stream
-from scanmotion.core.threads import allowed_threads
-from scanmotion.geometry.parts import surface_samples
+from scanmotion.core.support.streams import fixed_stream
+from scanmotion.core.support.threads import allowed_threads
+from scanmotion.geometry.parts.make_part import surface_samples
 from scanmotion.sensing.assess import covered_samples, raycaster, signed_distances
 from scanmotion.sensing.visibility import tangents
 

@@ -6,12 +6,12 @@ import numpy as np
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
-from scanmotion.core.streams import fixed_stream
+from scanmotion.core.support.streams import fixed_stream
+from scanmotion.geometry.files.part_files import read_geometry
 from scanmotion.geometry.mending.mend_cloud import measured_points, with_checked_normals
 from scanmotion.geometry.mending.mend_mesh import mended
-from scanmotion.geometry.part_files import read_geometry
-from scanmotion.geometry.parts import surface_samples
-from scanmotion.geometry.placing import UNITS
+from scanmotion.geometry.parts.make_part import surface_samples
+from scanmotion.geometry.parts.placing import UNITS
 from scanmotion.sensing.holes.boundary import oriented_normals
 
 _SAMPLES = 300_000

@@ -13,7 +13,7 @@ import numpy as np
 
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.scanner import Scanner
-from scanmotion.core.threads import allowed_threads
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.sensing.simulator.captures import (
     Captures,
     ScanErrors,

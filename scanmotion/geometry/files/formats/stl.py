@@ -1,0 +1,104 @@
+"""STL, binary and ASCII, as programs really write it."""
+
+import re
+
+import numpy as np
+
+from scanmotion.core.errors import PartError
+from scanmotion.geometry.files.formats.text import numbers, plain_text, text_blocks, text_step
+from scanmotion.geometry.files.raw import RawGeometry, checked_triangles, float_step
+
+_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_NUMBER = rb"(?:[-+.\d]\S*|nan\S*|inf\S*)"
+_VERTEX = re.compile(
+    rb"\bvertex\s+(" + _NUMBER + rb"\s+" + _NUMBER + rb"\s+" + _NUMBER + rb")", re.IGNORECASE
+)
+_UNTOLD = (0, 0xFFFFFFFF)
+"""Counts of programs that write facets before they know how many."""
+
+
+def read_stl(data: bytes) -> RawGeometry:
+    """Reads an STL of one solid or several.
+
+    Raises:
+        PartError: cut short, or neither binary nor ASCII.
+    """
+    if _is_text(data):
+        corners, notes, step = _ascii(data)
+        kind = "ASCII"
+    else:
+        corners, notes = _binary(data)
+        step, kind = float_step(corners.reshape(-1, 3)), "binary"
+    vertices = corners.reshape(-1, 3)
+    return RawGeometry(
+        vertices=vertices, triangles=checked_triangles(np.arange(len(vertices)), len(vertices)),
+        format=f"STL, {kind}", notes=notes, step=step,
+    )  # fmt: skip
+
+
+def _is_text(data: bytes) -> bool:
+    """Whether this is ASCII: many binary files too begin with "solid"."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf")):
+        return True
+    if len(data) >= 84:
+        claimed = int(np.frombuffer(data, "<u4", 1, 80)[0])
+        if len(data) == 84 + 50 * claimed:
+            return False
+    head = data[:4096]
+    words = head.lower().split()
+    return bool(words) and (words[0] == b"solid" or b"vertex" in words) and head.count(b"\0") == 0
+
+
+def _binary(data: bytes) -> tuple[np.ndarray, tuple[str, ...]]:
+    if len(data) < 84:
+        raise PartError(f"is not an STL file: {len(data)} bytes are fewer than a header")
+    corners, notes, at = [], [], 0
+    while at + 84 <= len(data):
+        count = int(np.frombuffer(data, "<u4", 1, at + 80)[0])
+        room = (len(data) - at - 84) // 50
+        if count in _UNTOLD and room and at == 0:
+            notes.append(
+                f"its header claims {count} triangles; the {room} that the file has room for were read"
+            )
+            count = room
+        if count > room:
+            if at:
+                break
+            raise PartError(
+                f"STL header claims {count} triangles, the file has room for {(len(data) - 84) / 50:.1f}"
+            )
+        if count == 0 and at:
+            break
+        corners.append(np.frombuffer(data, _FACET, count, at + 84)["corners"].astype(float))
+        at += 84 + 50 * count
+    if len(corners) > 1:
+        notes.append(f"{len(corners)} solids stand one after the other; all were read")
+    if at < len(data):
+        notes.append(f"{len(data) - at} bytes after the last facet were left out")
+    return np.concatenate(corners), tuple(notes)
+
+
+def _ascii(data: bytes) -> tuple[np.ndarray, tuple[str, ...], float]:
+    text = plain_text(data)
+    rows, notes = [], []
+    comma = re.search(rb"vertex\s+-?\d+,\d+(?:[eE][-+]?\d+)?\s+-?\d+,\d", text[:65536], re.IGNORECASE)
+    for block in text_blocks(text):
+        found = b"\n".join(_VERTEX.findall(block))
+        rows.append(numbers(found.replace(b",", b".") if comma else found))
+    flat = np.concatenate(rows) if rows else np.zeros(0)
+    if comma:
+        notes.append("decimal commas were read as points")
+    if flat.size % 9:
+        raise PartError("STL file is cut short inside a facet")
+    if not flat.size:
+        raise PartError("STL file without facets")
+    ends = len(re.findall(rb"endfacet|end\s+facet", text, re.IGNORECASE))
+    if ends and ends * 9 != flat.size:
+        raise PartError(f"STL file with {ends} facets and {flat.size // 3} corners: not all are triangles")
+    solids = len(re.findall(rb"^\s*endsolid|^\s*end\s+solid", text, re.IGNORECASE | re.MULTILINE))
+    if solids > 1:
+        notes.append(f"{solids} solids stand in one file; all were read")
+    points = flat.reshape(-1, 3)
+    step = text_step(b"\n".join(_VERTEX.findall(text[:8192])), points)
+    # Programs print single precision with more digits than it has.
+    return flat.reshape(-1, 3, 3), tuple(notes), max(step, float_step(points))

@@ -1,0 +1,108 @@
+"""The door for files of meshes and clouds: what each ending is read by, and the checks before it.
+
+A file is read whole or refused in one clear line. Every count that a header claims is held against the
+file's size before anything is allocated. docs/files.md says what each reader understands.
+"""
+
+import re
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from scanmotion.core.errors import PartError
+from scanmotion.geometry.files.formats.obj import read_obj, read_off
+from scanmotion.geometry.files.formats.pcd import read_pcd
+from scanmotion.geometry.files.formats.ply_read import read_ply
+from scanmotion.geometry.files.formats.stl import read_stl
+from scanmotion.geometry.files.formats.text_clouds import read_ptx, read_text_cloud
+from scanmotion.geometry.files.in_process import read_by_library
+from scanmotion.geometry.files.raw import MAX_TRIANGLES, RawGeometry
+
+__all__ = ["MAX_BYTES", "MAX_TRIANGLES", "MESHES", "SUFFIXES", "RawGeometry", "read_geometry"]
+
+MAX_BYTES = 4 << 30
+_READERS: dict[str, Callable[[bytes], RawGeometry]] = {
+    ".ply": read_ply,
+    ".stl": read_stl,
+    ".obj": read_obj,
+    ".off": read_off,
+    ".pcd": read_pcd,
+    ".ptx": read_ptx,
+}
+_LIBRARIES = (".glb", ".gltf", ".3mf", ".e57")
+_TEXTS = (".xyz", ".asc", ".txt", ".csv", ".pts", ".xyzn", ".xyzrgb", ".neu")
+SUFFIXES = (*_READERS, *_LIBRARIES, *_TEXTS)
+MESHES = (".ply", ".stl", ".obj", ".off", ".glb", ".gltf", ".3mf")
+_STRANGERS = (
+    (b"version https://git-lfs", "is a Git LFS pointer, not the file itself: `git lfs pull` fetches it"),
+    (b"<!DOCTYPE html", "is a web page, not the file itself: the download went wrong"),
+    (b"<html", "is a web page, not the file itself: the download went wrong"),
+    (b"\x1f\x8b", "is packed with gzip: unpack it first"),
+    (b"7z\xbc\xaf", "is packed with 7-Zip: unpack it first"),
+    (b"ISO-10303-21", "is a STEP file: export it as a mesh"),
+)
+_MAGIC = (
+    (b"ply\n", ".ply"),
+    (b"ply\r", ".ply"),
+    (b"# .PCD", ".pcd"),
+    (b"glTF", ".glb"),
+    (b"ASTM-E57", ".e57"),
+)
+
+
+def read_geometry(path: str | Path) -> RawGeometry:
+    """Reads a mesh or a cloud.
+
+    Raises:
+        PartError: no such file, unknown kind of file, or content that is not what its header says.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise PartError("no such file", path=str(path))
+    if not path.is_file():
+        raise PartError("is not a file", path=str(path))
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise PartError(f"unknown kind of file {suffix!r}; known: {', '.join(SUFFIXES)}", path=str(path))
+    size = path.stat().st_size
+    if size == 0:
+        raise PartError("the file is empty", path=str(path))
+    if size > MAX_BYTES:
+        raise PartError(
+            f"{size / 2**30:.1f} GiB is more than the {MAX_BYTES >> 30} GiB allowed", path=str(path)
+        )
+    try:
+        return _read(path, suffix)
+    except PartError as error:
+        raise PartError(str(error), path=str(path)) from None
+    except (ValueError, IndexError, KeyError, OverflowError, TypeError, struct.error) as error:
+        raise PartError(f"is not a readable {suffix[1:].upper()} file ({error})", path=str(path)) from None
+    except OSError as error:
+        raise PartError(f"cannot be read ({error.strerror})", path=str(path)) from None
+
+
+def _read(path: Path, suffix: str) -> RawGeometry:
+    with path.open("rb") as file:
+        head = file.read(512)
+    for magic, what in _STRANGERS:
+        if head.lstrip()[: len(magic)].lower() == magic.lower():
+            raise PartError(what)
+    kind = next((k for magic, k in _MAGIC if head.startswith(magic)), suffix)
+    if kind in _LIBRARIES:
+        if kind != suffix:
+            raise PartError(f"its content is that of a {kind[1:].upper()} file; name it so")
+        return read_by_library(path)
+    data = path.read_bytes()
+    if kind == ".obj" and re.match(rb"\s*solid\b", head) and b"facet" in head:
+        kind = ".stl"
+    # Damaged numbers (signalling NaN, infinities) are found and said later; numpy need not warn of them.
+    with np.errstate(all="ignore"):
+        raw = read_text_cloud(data, kind[1:].upper()) if kind in _TEXTS else _READERS[kind](data)
+    if kind != suffix:
+        raw = replace(
+            raw, notes=(f"its ending says {suffix[1:].upper()}, its content {raw.format}", *raw.notes)
+        )
+    return raw
