@@ -245,7 +245,8 @@ def _mean_cuts(values, cells):
         cuts = 0
         for axis in range(3):
             for corner in range(4):
-                at[:] = cells[n]
+                for k in range(3):
+                    at[k] = cells[n, k]
                 at[(axis + 1) % 3] += corner & 1
                 at[(axis + 2) % 3] += corner >> 1
                 a = values[at[0], at[1], at[2]]
@@ -255,7 +256,8 @@ def _mean_cuts(values, cells):
                         out[n, k] += at[k]
                     out[n, axis] += a / (a - b)
                     cuts += 1
-        out[n] /= cuts
+        for k in range(3):
+            out[n, k] /= cuts
     return out
 
 

@@ -13,8 +13,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from scanmotion.core.scanner import Scanner
-from scanmotion.core.support.threads import allowed_threads
-from scanmotion.geometry.jit import njit, prange
+from scanmotion.core.support.threads import allowed_threads, by_pieces
+from scanmotion.geometry.jit import njit
 
 _BAND = 4
 """Space is looked at within this many cells of the measured surface."""
@@ -151,10 +151,13 @@ class Space:
             self._images = [np.concatenate(self._images)]
         if len(self._X_SO) == first or len(places) == 0:
             return np.zeros(len(places), bool)
-        return _carved(
-            places, self._X_SO[first:], self._images[0][first:],
-            np.tan(self._scanner.fov[0] / 2), np.tan(self._scanner.fov[1] / 2), self._margin,
-        )  # fmt: skip
+        # One kind of array: `places` comes in either order.
+        places, X_SO, images = np.ascontiguousarray(places), self._X_SO[first:], self._images[0][first:]
+        tx, ty = (float(np.tan(angle / 2)) for angle in self._scanner.fov)
+        pieces = by_pieces(
+            lambda a, b: _carved(places[a:b], X_SO, images, tx, ty, self._margin), len(places), least=1000
+        )
+        return np.concatenate(pieces)
 
 
 def _keys(cells: np.ndarray) -> np.ndarray:
@@ -201,12 +204,12 @@ def _gathered(keys: np.ndarray) -> np.ndarray:
     return keys[np.bincount(label)[label] >= _LEAST]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _carved(p_O, X_SO, images, tx, ty, margin):
     """Which points some frame looked past, shape (n,)."""
     n, (f, h, w) = len(p_O), images.shape
     out = np.zeros(n, np.bool_)
-    for i in prange(n):
+    for i in range(n):
         x, y, z = p_O[i, 0], p_O[i, 1], p_O[i, 2]
         for s in range(f):
             # Strided order: neighbouring frames say the same.

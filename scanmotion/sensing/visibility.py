@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from scanmotion.core.scanner import Scanner
-from scanmotion.core.support.threads import allowed_threads
-from scanmotion.geometry.jit import njit, prange
+from scanmotion.core.support.threads import allowed_threads, by_pieces
+from scanmotion.geometry.jit import njit
 from scanmotion.geometry.se3 import turns_about_z
 
 _SKIN = 2e-4
@@ -131,18 +131,19 @@ def in_view(scanner: Scanner, X_OS: np.ndarray, points: np.ndarray, normals: np.
     incidence.
     """
     X_OS = np.ascontiguousarray(X_OS, dtype=float).reshape(-1, 4, 4)
-    # Threads cost more than they bring where there is little to do.
-    test = _in_views if len(X_OS) * len(points) > 500_000 and len(X_OS) > 1 else _in_views_here
-    return test(
-        X_OS,
-        np.ascontiguousarray(points, dtype=float),
-        np.ascontiguousarray(normals, dtype=float),
-        np.array(
-            [np.tan(scanner.fov[0] / 2), np.tan(scanner.fov[1] / 2), *scanner.range, _highlight(scanner)]
-        ),
-        float(np.cos(scanner.max_incidence)),
-        float(scanner.baseline),
+    points, normals = np.ascontiguousarray(points, dtype=float), np.ascontiguousarray(normals, dtype=float)
+    field = np.array(
+        [np.tan(scanner.fov[0] / 2), np.tan(scanner.fov[1] / 2), *scanner.range, _highlight(scanner)]
     )
+    least, baseline = float(np.cos(scanner.max_incidence)), float(scanner.baseline)
+    out = np.zeros((len(X_OS), len(points)), bool)
+
+    def some(first: int, last: int) -> None:
+        _in_views(X_OS[first:last], points, normals, field, least, baseline, out[first:last])
+
+    # Threads cost more than they bring where there is little to do.
+    by_pieces(some, len(X_OS), least=1 + 250_000 // max(len(points), 1))
+    return out
 
 
 def _highlight(scanner: Scanner) -> float:
@@ -150,20 +151,10 @@ def _highlight(scanner: Scanner) -> float:
     return float(np.cos(scanner.mirror)) if scanner.mirror > 0 else 2.0
 
 
-@njit(cache=True, parallel=True)
-def _in_views(X_OS, points, normals, field, least, baseline):
-    out = np.zeros((len(X_OS), len(points)), np.bool_)
-    for i in prange(len(X_OS)):
-        _in_view(X_OS[i], points, normals, field, least, baseline, out[i])
-    return out
-
-
-@njit(cache=True)
-def _in_views_here(X_OS, points, normals, field, least, baseline):
-    out = np.zeros((len(X_OS), len(points)), np.bool_)
+@njit(cache=True, nogil=True)
+def _in_views(X_OS, points, normals, field, least, baseline, out):
     for i in range(len(X_OS)):
         _in_view(X_OS[i], points, normals, field, least, baseline, out[i])
-    return out
 
 
 @njit(cache=True)

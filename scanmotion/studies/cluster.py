@@ -155,7 +155,6 @@ def run_on_worker(case: Case, keep_in: str | None) -> CaseRow:
     """What a worker runs: the case, on the part that it holds."""
     from distributed import get_worker
 
-    _threads_of_worker()
     path = Path(get_worker().local_directory) / "scanmotion-parts" / f"{case.part_hash}.npz"
     with np.load(path, allow_pickle=False) as file:
         part = Part(
@@ -165,12 +164,3 @@ def run_on_worker(case: Case, keep_in: str | None) -> CaseRow:
             closed=bool(file["closed"]),
         )
     return row_of(case, part, keep_in=None if keep_in is None else Path(keep_in))
-
-
-def _threads_of_worker() -> None:
-    """Compiled loops follow the worker's share of the cores too."""
-    import numba
-
-    asked = os.environ.get("OMP_NUM_THREADS", "")
-    if asked.isdigit() and int(asked) > 0:
-        numba.set_num_threads(min(int(asked), numba.config.NUMBA_NUM_THREADS))  # pyright: ignore

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from scanmotion.cell.arm.robot import Body
 from scanmotion.cell.collision.pairs import ignored, on_floor
@@ -18,6 +17,7 @@ from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 from scanmotion.core.part import Part
 from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.chain import link_frames
+from scanmotion.geometry.jit import njit
 
 _CELL_M = (0.30, 0.24, 0.17, 0.14, 0.09, 0.08, 0.06, 0.05)
 """Edge of the cells that a link's boxes are cut into before each is wrapped in a sphere, by link [m].
@@ -300,9 +300,11 @@ def edge_free(qa, qb, chain, spheres, boxes, world, grid, reach, pad):
     way = 0.0
     for i in range(7):
         way += abs(qb[i] - qa[i]) * reach[i]
-    t = 0.0
+    t, q = 0.0, np.empty(7)
     while True:
-        m = margin(qa + t * (qb - qa), chain, spheres, boxes, world, grid, 0.5)
+        for i in range(7):
+            q[i] = qa[i] + t * (qb[i] - qa[i])
+        m = margin(q, chain, spheres, boxes, world, grid, 0.5)
         if m < 0.0:
             return False, t
         if t >= 1.0:

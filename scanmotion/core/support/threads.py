@@ -7,10 +7,17 @@ they read when they are loaded.
 
 import os
 import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import TypeVar
 
 from scanmotion.core.errors import InputError
 
 OPENMP = "OMP_NUM_THREADS"
+T = TypeVar("T")
+_PIECES = 16
+"""Work is cut into so many pieces at most."""
 _FOLLOWERS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -44,3 +51,22 @@ def follow_openmp() -> None:
     told = os.environ.get(OPENMP, "")
     if told.isdecimal() and int(told) > 0 and "numba" not in sys.modules:
         os.environ.setdefault("NUMBA_NUM_THREADS", told)
+
+
+def by_pieces(work: Callable[[int, int], T], count: int, *, least: int) -> list[T]:
+    """What `work(first, last)` gives for pieces of 0..count, in order, made on the allowed threads.
+
+    The pieces do not depend on the number of threads. Only work that lets go of the interpreter gains.
+
+    Args:
+        work: of a half-open range; several run at once.
+        count: of what there is to do; one piece even where it is 0.
+        least: fewer than this are not worth a piece of their own.
+    """
+    pieces = max(1, min(_PIECES, count // max(least, 1)))
+    ends = [count * k // pieces for k in range(pieces + 1)]
+    threads = min(allowed_threads(), pieces)
+    if threads == 1:
+        return [work(first, last) for first, last in pairwise(ends)]
+    with ThreadPoolExecutor(max_workers=threads) as pool:
+        return list(pool.map(work, ends[:-1], ends[1:]))

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import HoleError
-from scanmotion.core.support.threads import allowed_threads
-from scanmotion.geometry.jit import njit, prange
+from scanmotion.core.support.threads import allowed_threads, by_pieces
+from scanmotion.geometry.jit import njit
 from scanmotion.sensing.holes.angle_gaps import exceeds_gap
 from scanmotion.sensing.holes.orient import signs_by_spanning_tree
 
@@ -90,18 +90,20 @@ def plane_fits(points: np.ndarray, neighbours: np.ndarray) -> PlaneFits:
         neighbours: indices, shape (m, k); row i may hold the point itself.
     """
     # One kind of array, whoever asks: the kernel would be compiled anew for each.
-    covariance = _covariances(np.array(points, dtype=float, order="C"), np.ascontiguousarray(neighbours))
+    points, neighbours = np.array(points, dtype=float, order="C"), np.array(neighbours, order="C")
+    pieces = by_pieces(lambda a, b: _covariances(points, neighbours[a:b]), len(neighbours), least=2000)
+    covariance = np.concatenate(pieces)
     value, vector = np.linalg.eigh(covariance)
     return PlaneFits(
         normals=np.ascontiguousarray(vector[:, :, 0]), thickness=np.sqrt(np.maximum(value[:, 0], 0.0))
     )
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _covariances(points, neighbours):
     m, k = neighbours.shape
     out = np.zeros((m, 3, 3))
-    for i in prange(m):
+    for i in range(m):
         mean = np.zeros(3)
         for j in range(k):
             for a in range(3):

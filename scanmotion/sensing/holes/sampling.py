@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import HoleError
 from scanmotion.core.support.threads import allowed_threads
+from scanmotion.geometry.jit import first_not_less, njit
 from scanmotion.sensing.holes.rims import Sampling, sampling_of
 
 UNEVEN = 1.5
@@ -120,7 +120,7 @@ def _spread(points, order, key, cells, wide, high, square):
         free = True
         for column in range(9):
             middle = key[i] + (column // 3 - 1) * wide * high + (column % 3 - 1) * high
-            c = np.searchsorted(cells, middle - 1)
+            c = first_not_less(cells, middle - 1)
             while free and c < len(cells) and cells[c] <= middle + 1:
                 j = last[c]
                 while free and j >= 0:
@@ -132,7 +132,7 @@ def _spread(points, order, key, cells, wide, high, square):
                 c += 1
         if free:
             kept[i] = True
-            c = np.searchsorted(cells, key[i])
+            c = first_not_less(cells, key[i])
             before[i] = last[c]
             last[c] = i
     return kept

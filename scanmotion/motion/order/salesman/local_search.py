@@ -5,7 +5,8 @@ nearest first; tsp.py reduces every other problem to this one.
 """
 
 import numpy as np
-from numba import njit
+
+from scanmotion.geometry.jit import copy_into, njit
 
 EPS = 1e-10
 
@@ -177,7 +178,7 @@ def first_population(D: np.ndarray, NB: np.ndarray, size: int, state: np.ndarray
         for i in range(n):
             pos[tour[i]] = i
         local_search(D, NB, tour, pos)
-        population[p] = tour
+        copy_into(population[p], tour)
     return population
 
 
