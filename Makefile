@@ -41,10 +41,10 @@ demo: env
 	@echo "report: $(OUT)/report.html"
 
 test: env-test
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 test-all: env-test
-	$(BIN)/python -m pytest -m ''
+	$(BIN)/python -m pytest -n auto --dist loadfile -m ''
 
 lint: env-test
 	$(BIN)/ruff check .

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from scanmotion.cli import app
-from scanmotion.cli.plans.planning import summary_rows
+from scanmotion.cli.plans.summarising import summary_rows
 from scanmotion.core.summary import Summary
 
 COMMANDS = (
@@ -288,7 +288,7 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(met, tmp_path):
 
 
 def test_many_viewpoints_that_are_too_dear_share_a_line():
-    from scanmotion.cli.plans.planning import left_out_rows
+    from scanmotion.cli.plans.summarising import left_out_rows
     from scanmotion.core.summary import LeftOut
 
     dear = [LeftOut(id=f"L{k}", reason=f"not worth its seconds: it adds 0.00{k}% in 1.0 s") for k in range(5)]

@@ -9,9 +9,13 @@ import open3d as o3d
 import pytest
 import trimesh
 from test_plan import TINY
+from typer.testing import CliRunner
 
 import scanmotion as sm
+from scanmotion.cli.app import app
 from scanmotion.core.errors import CellError, InputError, PartError
+from scanmotion.core.viewpoint import Slack
+from scanmotion.export.viewpoints import read_viewpoints
 from scanmotion.motion.order.given_order import given_order
 from scanmotion.motion.order.stops import dwell_group
 from scanmotion.motion.transit_cost import move_matrix, move_model
@@ -82,6 +86,79 @@ def test_own_viewpoints_are_visited_as_given(tmp_path):
     assert served == ["front", "side", "back"]
     made.save(tmp_path / "out")
     assert sm.verify(tmp_path / "out") == []
+
+
+OWN = """id, x_mm, y_mm, z_mm, dx, dy, dz, standoff_mm
+front, 600, 0, 300, -600, 0, -230, 550
+side, 0, 600, 300, 0, -600, -230, 550
+back, -600, 0, 300, 600, 0, -230, 550
+"""
+
+
+def test_a_file_of_own_viewpoints_needs_few_columns_in_any_order(tmp_path):
+    file = tmp_path / "own.csv"
+    file.write_text(OWN)
+    for read, made in zip(read_viewpoints(file), views(), strict=True):
+        assert read.id == made.id and read.kind == "station" and read.slack == Slack()
+        assert np.allclose(read.X_OS, made.X_OS, atol=1e-12)
+    rows = [line.split(",") for line in OWN.splitlines()]
+    file.write_text("\n".join(",".join(reversed(row)) for row in rows) + "\n")
+    assert [v.id for v in read_viewpoints(file)] == ["front", "side", "back"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (", standoff_mm", ", standof_mm", "column 'standof_mm' is unknown"),
+        (", dz,", ", qz,", "not both"),
+        ("z_mm, ", "x_mm, ", "column x_mm is there twice"),
+        ("-600, 0, -230, 550\nside", "0, 0, 0, 550\nside", "row 2: dx, dy, dz is not a direction"),
+    ],
+)
+def test_a_wrong_file_of_viewpoints_is_one_line(tmp_path, old, new, words):
+    file = tmp_path / "own.csv"
+    assert old in OWN
+    file.write_text(OWN.replace(old, new, 1))
+    with pytest.raises(InputError, match=words) as told:
+        read_viewpoints(file)
+    assert "\n" not in str(told.value)
+
+
+def test_the_command_visits_own_viewpoints_as_the_file_has_them(tmp_path):
+    (tmp_path / "own.csv").write_text(OWN)
+    words = [
+        "plan",
+        "--box",
+        "100",
+        "120",
+        "140",
+        "--viewpoints",
+        str(tmp_path / "own.csv"),
+        "--order",
+        "given",
+    ]
+    run = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out"), "--no-html", "--quiet"])
+    assert run.exit_code == 0, run.output
+    operations = sm.load_plan(tmp_path / "out").trajectory.operations
+    assert [v for o in operations if o.kind == "dwell" for v in o.viewpoints] == ["front", "side", "back"]
+    assert sm.verify(tmp_path / "out") == []
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--order", "given"], "only together with --viewpoints"),
+        (["--viewpoints", "own.csv", "--order", "best"], "fastest or given"),
+        (["--viewpoints", "own.csv", "--placements", "2"], "not together with --placements"),
+        (["--viewpoints", "missing.csv"], "no such file"),
+    ],
+)
+def test_contradictions_with_own_viewpoints_are_one_line(tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.csv").write_text(OWN)
+    run = CliRunner().invoke(app, ["plan", "--box", "100", "120", "140", *words])
+    assert run.exit_code == 2 and message in run.output
+    assert len(run.output.strip().splitlines()) == 1
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from scanmotion.cell.settings.cell import load_cell, settings_from
 from scanmotion.cli import app
-from scanmotion.cli.plans.planning import twin_rows
+from scanmotion.cli.plans.summarising import twin_rows
 from scanmotion.core.errors import CellError, InputError
 from scanmotion.core.summary import Summary
 from scanmotion.core.viewpoint import look_at

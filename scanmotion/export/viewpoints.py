@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from scanmotion.core.errors import InputError
-from scanmotion.core.viewpoint import Slack, Viewpoint
+from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
 from scanmotion.export.job import ExportJob, Files
 from scanmotion.export.source import checked_id, checked_line, write_files
 from scanmotion.plan_io.schema import ViewpointRecord
@@ -21,6 +21,14 @@ HEADER: tuple[str, ...] = (
     "id", "step", "kind", "sweep", "standoff_mm", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz",
     "slack_near_mm", "slack_far_mm", "slack_tilt_deg", "slack_roll", "note",
 )  # fmt: skip
+DEFAULTS: dict[str, str] = {
+    "step": "local", "kind": "station", "sweep": "", "slack_near_mm": "0", "slack_far_mm": "0",
+    "slack_tilt_deg": "0", "slack_roll": "1", "note": "",
+}  # fmt: skip
+"""What a column means that a file of somebody's own may lack."""
+DIRECTION = ("dx", "dy", "dz")
+"""Columns of a viewing direction in place of a quaternion; the scanner's long side is then horizontal."""
+_QUATERNION = {"qw", "qx", "qy", "qz"}
 VERSION = 1
 MAX_VIEWPOINTS = 100_000
 _MAX_BYTES = 64 << 20
@@ -155,13 +163,12 @@ def _from_csv(path: Path, text: str) -> list[Viewpoint]:
         rows = list(csv.reader(io.StringIO(text, newline=""), strict=True))
     except csv.Error as error:
         raise InputError(f"{path}: is not CSV ({error})") from None
-    if not rows or tuple(rows[0]) != HEADER:
-        raise InputError(f"{path}: the first line is not {','.join(HEADER)}")
+    header = _header(path, [name.strip() for name in rows[0]] if rows else [])
     views = []
     for n, row in enumerate(rows[1:], 2):
-        if len(row) != len(HEADER):
-            raise InputError(f"{path}: row {n} has {len(row)} fields instead of {len(HEADER)}")
-        cell = dict(zip(HEADER, row, strict=True))
+        if len(row) != len(header):
+            raise InputError(f"{path}: row {n} has {len(row)} fields instead of {len(header)}")
+        cell = DEFAULTS | dict(zip(header, (text.strip() for text in row), strict=True))
         try:
             entry = _entry(cell)
         except ValueError as error:
@@ -170,19 +177,58 @@ def _from_csv(path: Path, text: str) -> list[Viewpoint]:
     return views
 
 
+def _header(path: Path, header: list[str]) -> list[str]:
+    """The names of the columns, in any order; those with a default may lack.
+
+    Raises:
+        InputError: with the column that is unknown, there twice, or lacking.
+    """
+    known = {*HEADER, *DIRECTION}
+    strange = [name for name in header if name not in known]
+    if strange:
+        raise InputError(
+            f"{path}: column {strange[0][:40]!r} is unknown; known: {', '.join(HEADER)}, dx, dy, dz"
+        )
+    twice = [name for name in header if header.count(name) > 1]
+    if twice:
+        raise InputError(f"{path}: column {twice[0]} is there twice")
+    turned, aimed = _QUATERNION & set(header), set(DIRECTION) & set(header)
+    if turned and aimed:
+        raise InputError(f"{path}: give the quaternion qw, qx, qy, qz or the direction dx, dy, dz, not both")
+    needed = [name for name in HEADER if name not in DEFAULTS and name not in _QUATERNION]
+    needed += DIRECTION if aimed else sorted(_QUATERNION)
+    lacking = [name for name in needed if name not in header]
+    if lacking:
+        raise InputError(f"{path}: column {lacking[0]} is missing in the first line")
+    return header
+
+
+def _pose(number: dict[str, float]) -> np.ndarray:
+    """X_OS, shape (4, 4) [m], of the columns of a row."""
+    p_OS = np.array([number[key] * 1e-3 for key in ("x_mm", "y_mm", "z_mm")])
+    if DIRECTION[0] in number:
+        along = np.array([number[key] for key in DIRECTION])
+        if not 1e-9 < np.linalg.norm(along) < 1e9:
+            raise ValueError("dx, dy, dz is not a direction")
+        return look_at(p_OS, along)
+    q = np.array([number[key] for key in ("qw", "qx", "qy", "qz")])
+    if np.abs(q).max() > 2 or abs(np.linalg.norm(q) - 1) > 1e-3:
+        raise ValueError("qw, qx, qy, qz is not a unit quaternion")
+    X_OS = np.eye(4)
+    X_OS[:3, :3] = rotation(q / np.linalg.norm(q))
+    X_OS[:3, 3] = p_OS
+    return X_OS
+
+
 def _entry(cell: dict[str, str]) -> dict[str, Any]:
     """A row in the schema of plan.json."""
-    number = {key: float(cell[key]) for key in HEADER[4:15]}
+    words = ("id", "step", "kind", "sweep", "slack_roll", "note")
+    number = {key: float(text) for key, text in cell.items() if key not in words}
     if not all(map(math.isfinite, number.values())):
         raise ValueError("a number is not finite")
     if cell["slack_roll"] not in ("0", "1"):
         raise ValueError(f"slack_roll is 0 or 1, not {cell['slack_roll'][:20]!r}")
-    q = np.array([number[key] for key in ("qw", "qx", "qy", "qz")])
-    if np.abs(q).max() > 2 or abs(np.linalg.norm(q) - 1) > 1e-3:
-        raise ValueError("qw, qx, qy, qz is not a unit quaternion")
-    X = np.eye(4)
-    X[:3, :3] = rotation(q / np.linalg.norm(q))
-    X[:3, 3] = [number[key] * 1e-3 for key in ("x_mm", "y_mm", "z_mm")]
+    X = _pose(number)
     return {
         "id": cell["id"], "step": cell["step"], "kind": cell["kind"], "sweep": cell["sweep"],
         "standoff_m": number["standoff_mm"] * 1e-3, "X_OS": X.tolist(),

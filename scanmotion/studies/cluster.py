@@ -9,6 +9,7 @@ import io
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -156,11 +157,16 @@ def run_on_worker(case: Case, keep_in: str | None) -> CaseRow:
     from distributed import get_worker
 
     path = Path(get_worker().local_directory) / "scanmotion-parts" / f"{case.part_hash}.npz"
+    return row_of(case, _part_in(path), keep_in=None if keep_in is None else Path(keep_in))
+
+
+@lru_cache(maxsize=1)
+def _part_in(path: Path) -> Part:
+    """The part that a worker holds on its disk; cases come part by part, so the last one is kept at hand."""
     with np.load(path, allow_pickle=False) as file:
-        part = Part(
+        return Part(
             name=str(file["name"]),
             vertices=file["vertices"],
             triangles=file["triangles"],
             closed=bool(file["closed"]),
         )
-    return row_of(case, part, keep_in=None if keep_in is None else Path(keep_in))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from scanmotion.cli.app import CHECK_FAILED, OK, Progress, print_table, say_json
 from scanmotion.cli.plans.pages import pages
@@ -12,6 +12,7 @@ from scanmotion.core.errors import InputError
 if TYPE_CHECKING:
     from scanmotion.cell.settings.cell import CellSettings
     from scanmotion.core.part import Part
+    from scanmotion.core.viewpoint import Viewpoint
     from scanmotion.planning.options import PlanOptions
     from scanmotion.planning.placements.plan_placements import PlacedPlan, PlacementOptions
     from scanmotion.planning.plan import Plan
@@ -22,18 +23,55 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class OwnViews:
+    """The user's own viewpoints, and whether their order stays."""
+
+    viewpoints: "tuple[Viewpoint, ...]"
+    order: Literal["fastest", "given"]
+
+
+def own_views_from(
+    file: Path | None, order: str, *, placements: str, keep: Path | None, motion: str
+) -> OwnViews | None:
+    """What --viewpoints and --order ask for; None without the former.
+
+    Raises:
+        InputError: the file cannot be read, an unknown order, or an option that does not go with them.
+    """
+    if order != "fastest" and order != "given":
+        raise InputError(f"--order {order}: fastest or given is expected")
+    if file is None:
+        if order == "given":
+            raise InputError("--order given: only together with --viewpoints")
+        return None
+    with_it = {"--placements": placements.strip() != "1", "--keep": keep is not None}
+    wrong = [name for name, is_there in {**with_it, "--motion": motion != "stops"}.items() if is_there]
+    if wrong:
+        raise InputError(f"--viewpoints: not together with {wrong[0]}")
+    from scanmotion.export.viewpoints import read_viewpoints
+
+    return OwnViews(viewpoints=read_viewpoints(file), order=order)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class New:
     """A plan that begins with nothing."""
 
     part: "Part"
     settings: "CellSettings"
     options: "PlanOptions"
+    own: "OwnViews | None" = None
 
     def planned(self, progress: Progress) -> "Plan":
         """The plan."""
         from scanmotion.planning.pipeline import plan
 
-        return plan(self.part, self.settings, options=self.options, progress=progress)
+        own = self.own
+        return plan(
+            self.part, self.settings, options=self.options, progress=progress,
+            viewpoints=None if own is None else own.viewpoints,
+            order="fastest" if own is None else own.order,
+        )  # fmt: skip
 
 
 def placing_from(placements: str, forbid: str) -> "PlacementOptions | None":

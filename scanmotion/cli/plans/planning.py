@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from scanmotion.cli.app import CHECK_FAILED, OK, Progress, print_table, progress_bar, say_json
+from scanmotion.cli.app import CHECK_FAILED, OK, Progress, progress_bar, say_json
 from scanmotion.cli.inputs import (  # fmt: skip
     CELL,
     OUT,
@@ -34,18 +34,18 @@ from scanmotion.cli.inputs import (  # fmt: skip
 )
 from scanmotion.cli.plans.complete import is_complete, say_answer, write_answer
 from scanmotion.cli.plans.pages import pages
-from scanmotion.cli.plans.placing import New, placing_from, plan_placed, say_placed
+from scanmotion.cli.plans.placing import New, own_views_from, placing_from, plan_placed, say_placed
+from scanmotion.cli.plans.summarising import print_summary
 from scanmotion.core.errors import InputError
 
 if TYPE_CHECKING:
     from scanmotion.cell.settings.cell import CellSettings
-    from scanmotion.core.summary import LeftOut, Summary, ViewpointSummary, WithinReach
+    from scanmotion.core.summary import Summary
     from scanmotion.planning.options import PlanOptions
     from scanmotion.planning.plan import Plan
 
 AGAIN = "Planning again"
 TWIN = "The scan twin"
-FEW = 3
 MOTIONS = ("stops", "continuous", "auto")
 STRATEGIES = ("two-step", "cad-slicing", "surface-partitioning")
 
@@ -67,6 +67,16 @@ def plan(
     mode: Annotated[
         str, typer.Option("--mode", help="default, or paper: the published formulas literally.")
     ] = "default",
+    viewpoints: Annotated[
+        Path | None,
+        typer.Option(
+            "--viewpoints",
+            help="Your own viewpoints (CSV or JSON) in place of the method's; no local step follows.",
+        ),
+    ] = None,
+    order: Annotated[
+        str, typer.Option("--order", help="With --viewpoints: fastest, or given: as the file has them.")
+    ] = "fastest",
     seed: Seed = 0,
     helix: Annotated[
         bool,
@@ -190,6 +200,7 @@ def plan(
     check_out_folder(out)
     placing = placing_from(placements, forbid)
     only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
+    own = own_views_from(viewpoints, order, placements=placements, keep=keep, motion=motion)
     subject = answer = None
     check_budget(budget)
     noted = meta_from(meta or ())
@@ -207,7 +218,7 @@ def plan(
             options, thorough=thorough, tidy=tidy, motion=motion, completeness=completeness, fill=fill,
             **words,
         )  # fmt: skip
-        request = New(part=subject, settings=settings, options=options)
+        request = New(part=subject, settings=settings, options=options, own=own)
     if placing is not None:
         if not isinstance(request, New):
             raise InputError("--placements: not together with --keep; take up one placement's folder")
@@ -296,99 +307,3 @@ def read_summary(folder: Path) -> "Summary":
     from scanmotion.plan_io.read import read_summary
 
     return read_summary(folder)
-
-
-def print_summary(summary: "Summary", folder: Path, *, html: bool = True) -> None:
-    """The table that ends `scanmotion plan`."""
-    print_table("The plan", (), summary_rows(summary))
-    views = summary.viewpoints
-    if views.left_out:
-        rows = left_out_rows(views.unreachable, views.not_worth)
-        print_table("Viewpoints left out", ("viewpoint", "reason"), rows)
-    if summary.budget.advice:
-        print_table("Over the budget", ("what would help",), [(a,) for a in summary.budget.advice])
-    if summary.findings:
-        print_table("The judge found", ("finding",), [(line,) for line in summary.finding_lines])
-    names = ["trajectory.csv", "summary.json"] + (["scene.html", "report.html"] if html else [])
-    names += [name for name in ("cloud.ply", "deviation.ply") if (folder / name).is_file()]
-    print_table("Files", (), [(name.split(".")[0], str(folder / name)) for name in names])
-
-
-def left_out_rows(unreachable: "Sequence[LeftOut]", not_worth: "Sequence[LeftOut]") -> list[tuple[str, ...]]:
-    """Viewpoints and reasons; many that are only not worth their seconds share a line."""
-    rows: list[tuple[str, ...]] = [(u.id, u.reason) for u in unreachable]
-    if len(not_worth) <= FEW:
-        return [*rows, *((u.id, u.reason) for u in not_worth)]
-    return [*rows, (f"{len(not_worth)} others", "not worth their seconds; summary.json lists them")]
-
-
-def summary_rows(summary: "Summary") -> list[tuple[str, ...]]:
-    """Name and value of each line of the final table."""
-    views, done, exact = summary.viewpoints, summary.completeness, summary.accuracy
-    time, budget = summary.time_s, summary.budget
-    split = f"arm {time.arm:.1f}, table {time.table:.1f}, sweep {time.sweep:.1f}, dwell {time.dwell:.1f}"
-    verdict = "inside" if budget.ok else "OVER"
-    return [
-        ("viewpoints", f"{views.global_} global, {views.local} local, {_left_out(views)}"),
-        ("completeness, of what can be seen", _share(done.final)),
-        *sure_rows(summary),
-        ("after the global step", _share(done.after_global)),
-        *reach_rows(summary.within_reach),
-        ("of the whole surface", _share(done.final_of_whole)),
-        ("accuracy", f"mean {_mm(exact.mean_abs_mm)}, standard deviation {_mm(exact.sd_signed_mm)}"),
-        *twin_rows(summary),
-        (
-            "time",
-            f"{time.total:.1f} s, {verdict} the budget of {budget.limit_s:g} s (floor {time.floor:.1f} s)",
-        ),
-        ("of which [s]", split),
-        *([("helix", summary.helix.note)] if summary.helix is not None else []),
-        *([("motion", summary.motion.note)] if summary.motion is not None else []),
-        ("checks", counted(len(summary.findings))),
-        ("planned in", f"{summary.planning_s['total']:.1f} s"),
-    ]
-
-
-def _left_out(views: "ViewpointSummary") -> str:
-    lost, dear = len(views.unreachable), len(views.not_worth)
-    return f"{lost} unreachable" + (f", {dear} not worth their seconds" if dear else "")
-
-
-def _share(value: float | None) -> str:
-    return "not known" if value is None else f"{value:.2%}"
-
-
-def _mm(value: float | None) -> str:
-    return "not known" if value is None else f"{value:.3f} mm"
-
-
-def sure_rows(summary: "Summary") -> list[tuple[str, ...]]:
-    """Line of the final table on how sure the prediction is, where that is known."""
-    return [] if summary.confidence is None else [("how sure", summary.confidence.statement)]
-
-
-def reach_rows(found: "WithinReach") -> list[tuple[str, ...]]:
-    """Line of the final table on what this robot's scanner can be brought to see, where that is known."""
-    if found.scanned is None or found.share is None:
-        return []
-    return [("of what this robot can reach", f"{found.scanned:.2%} ({found.share:.2%} is within reach)")]
-
-
-def counted(findings: int) -> str:
-    """How many findings, in words."""
-    return "no finding" if not findings else "1 finding" if findings == 1 else f"{findings} findings"
-
-
-def twin_rows(summary: "Summary") -> list[tuple[str, ...]]:
-    """Lines of the final table on the surface, calibration and registration, where there are any."""
-    rows: list[tuple[str, ...]] = []
-    made, found = summary.accuracy.surface, summary.calibration
-    if made is not None:
-        told = f"mean {_mm(made.mean_abs_mm)}, standard deviation {_mm(made.sd_signed_mm)}"
-        rows.append(("of the surface", told))
-    if found is not None:
-        before, after = found.global_cloud.before.mean_abs_mm, found.global_cloud.after.mean_abs_mm
-        bought = f"the global scan's mean from {_mm(before)} to {_mm(after)}"
-        rows.append(("calibration", bought if found.applied else found.statement))
-    rows += [(f"round {item.round} on the cloud", item.statement) for item in summary.registration]
-    return rows
