@@ -51,12 +51,19 @@ def main() -> None:
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--write", action="store_true", help="make kernels.txt of it")
-    parser.add_argument("words", nargs="*", default=["plan", "--no-html", "--quiet"])
+    parser.add_argument("words", nargs=argparse.REMAINDER, help="after --: what is run")
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         told = Path(folder, "rows.json")
         lazy = {"NUMBA_CACHE_DIR": folder, "COMPILED_ROWS": str(told), "SCANMOTION_COMPILE_AHEAD": "0"}
-        words = [sys.executable, "-c", LISTENER, *chosen.words, "--out", str(Path(folder, "out"))]
+        words = [
+            sys.executable,
+            "-c",
+            LISTENER,
+            *(chosen.words[1:] or ["plan", "--no-html", "--quiet"]),
+            "--out",
+            str(Path(folder, "out")),
+        ]
         subprocess.run(words, env={**os.environ, **lazy}, check=False)
         rows = json.loads(told.read_text())
     ours = [row for row in rows if row[0].startswith("scanmotion.")]

@@ -8,7 +8,6 @@ they read when they are loaded.
 import os
 import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import TypeVar
 
@@ -68,5 +67,7 @@ def by_pieces(work: Callable[[int, int], T], count: int, *, least: int) -> list[
     threads = min(allowed_threads(), pieces)
     if threads == 1:
         return [work(first, last) for first, last in pairwise(ends)]
+    from concurrent.futures import ThreadPoolExecutor
+
     with ThreadPoolExecutor(max_workers=threads) as pool:
         return list(pool.map(work, ends[:-1], ends[1:]))
