@@ -21,7 +21,7 @@ from scanmotion.cell.kinematics import branches, object_poses
 from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.viewpoint import Viewpoint, look_at
 from scanmotion.motion.order.salesman.tsp import tour_from_cost
-from scanmotion.motion.order.sequence import sequence
+from scanmotion.motion.order.sequence import by_distance, sequence
 from scanmotion.motion.reach.find import Reach
 from scanmotion.motion.transit_cost import move_model, stop_seconds
 
@@ -151,7 +151,9 @@ def stops(seed: int, sizes: list[int]) -> None:
         begun = time.perf_counter()
         tour = sequence(cell, reaches, start_q=cell.home, rng=np.random.default_rng(seed))
         took = time.perf_counter() - begun
-        paper = sequence(cell, reaches, start_q=cell.home, mode="paper", rng=np.random.default_rng(seed))
+        paper = sequence(
+            cell, reaches, start_q=cell.home, ordering=by_distance, rng=np.random.default_rng(seed)
+        )
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         ways = sum(len(r.q) for r in reaches)
         assert tour.seconds >= sum(stop_seconds(model, s) for s in tour.stops)

@@ -16,7 +16,10 @@ LIBRARIES = {
     "libgomp.so.1": "libgomp1",
     "libX11.so.6": "libx11-6",
     "libusb-1.0.so.0": "libusb-1.0-0",
+    "libEGL.so.1": "libegl1",
+    "libglib-2.0.so.0": "libglib2.0-0",
 }
+"""What `ldd` finds missing from the wheels of Drake and Open3D on a Debian of nothing but Python and make."""
 
 
 def missing() -> list[str]:
@@ -41,7 +44,8 @@ def install(packages: list[str]) -> None:
     update = ["apt-get", "update", "-qq"]
     fetch = ["apt-get", "install", "-y", "-qq", "--no-install-recommends", *packages]
     for command in (update, fetch):
-        subprocess.run(command, env=env, stdout=subprocess.DEVNULL, check=False)
+        # What it says is of interest only where something is missing afterwards, and that is said then.
+        subprocess.run(command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
 
 
 def command_for(packages: list[str]) -> str:

@@ -5,7 +5,6 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from scanmotion.cell.build import TABLE, TOOL, Cell
-from scanmotion.cell.collision.pairs import IGNORED_PAIRS
 from scanmotion.cell.collision.shapes import fcl_object
 from scanmotion.cell.drake_scene import add_cell
 
@@ -42,8 +41,11 @@ class FclCell:
         X_WO = self.plant.EvalBodyPoseInWorld(self.context, table).GetAsMatrix4() @ self.cell.X_TO
         return [*links, X_WF], X_WF @ self.cell.X_FS, X_WO
 
-    def distances(self, q: np.ndarray) -> tuple[float, float]:
-        """Least distance to what is not the robot, and between links that are judged; -1 in collision."""
+    def distances(self, q: np.ndarray, *, near: bool = True) -> tuple[float, float]:
+        """Least distance to what is not the robot, and between links that are judged; -1 in collision.
+
+        Without `near`, neighbours but one that always are near to each other do not count.
+        """
         frames, _, X_WO = self.frames(q)
         robot, other = [], []
         for body, shape in zip(self.cell.bodies, self.shapes, strict=True):
@@ -63,7 +65,7 @@ class FclCell:
                 outside = min(outside, _distance(self.part, shape))
             for second, solid in robot[n + 1 :]:
                 pair = (min(body.link, second.link), max(body.link, second.link))
-                if pair[0] != pair[1] and pair not in IGNORED_PAIRS:
+                if pair[1] - pair[0] > 1 and (near or pair not in {(0, 2), (4, 6), (5, TOOL)}):
                     inside = min(inside, _distance(shape, solid))
         return outside, inside
 

@@ -143,6 +143,22 @@ def test_packed_pcd_of_another_writer(tmp_path):
             read_geometry(path)
 
 
+@pytest.mark.parametrize("name", ["a.xyz", "a.xyzn", "a.xyzrgb", "a.pts", "a.ply", "ascii.ply"])
+def test_clouds_of_another_writer(tmp_path, name):
+    import open3d as o3d
+
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(P))
+    if not name.endswith((".xyzrgb", ".pts")):
+        cloud.normals = o3d.utility.Vector3dVector(N)
+    cloud.colors = o3d.utility.Vector3dVector(C / 255)
+    assert o3d.io.write_point_cloud(str(tmp_path / name), cloud, write_ascii="ascii" in name)
+    raw = read_geometry(tmp_path / name)
+    np.testing.assert_allclose(raw.vertices, P, atol=1e-6)
+    assert (raw.normals is not None) == name.endswith((".xyzn", ".ply"))
+    if raw.normals is not None:
+        np.testing.assert_allclose(raw.normals, N, atol=1e-6)
+
+
 def test_e57(tmp_path):
     pye57 = pytest.importorskip("pye57")
     file = pye57.E57(str(tmp_path / "a.e57"), mode="w")

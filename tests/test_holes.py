@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from scanmotion.core.errors import HoleError
 from scanmotion.sensing.holes.find import hole_report_to_json, holes_from_cloud, holes_from_mesh
 from scanmotion.sensing.holes.loops import box_about, loop_length, ordered_loop, roundness, vector_area
-from scanmotion.sensing.holes.paper_clusters import dbscan
+from scanmotion.sensing.holes.paper_clusters import LargestAngle, dbscan
 from scanmotion.sensing.holes.sampling import even_samples
 
 STEP = 0.002
@@ -254,7 +254,7 @@ def test_overlapping_range_images_give_the_same_holes_wherever_they_lie(seed: in
 
 def test_paper_mode_finds_the_cap() -> None:
     points = cap_off(even_sphere(6000), [0, 1, 0], 0.3)
-    report = holes_from_cloud(points, mode="paper")
+    report = holes_from_cloud(points, by_angle=LargestAngle())
     assert any(np.linalg.norm(hole.center - [0, 0.1 * np.cos(0.3), 0]) < 0.004 for hole in report.holes)
 
 
@@ -399,7 +399,7 @@ def test_bad_clouds_are_refused_by_name() -> None:
     with pytest.raises(HoleError, match="not finite"):
         holes_from_cloud(np.where(np.arange(200)[:, None] == 7, np.inf, points))
     with pytest.raises(HoleError, match="mode"):
-        holes_from_cloud(points, mode="fast")  # pyright: ignore[reportArgumentType]
+        holes_from_cloud(points, mode="fast")
     with pytest.raises(HoleError, match="eps"):
         holes_from_cloud(cap_off(even_sphere(2000), [0, 0, 1], 0.5), eps=-1.0)
     with pytest.raises(HoleError, match="view directions"):
@@ -428,17 +428,30 @@ def test_two_points_many_times_are_refused() -> None:
         holes_from_cloud(np.repeat([[0.0, 0, 0], [1.0, 0, 0]], 40, axis=0))
 
 
+def test_deprecated_arguments_mean_the_papers_search() -> None:
+    points = cap_off(even_sphere(2000), [0, 0, 1], 0.5)
+    with pytest.deprecated_call():
+        old = holes_from_cloud(points, mode="paper", eps=0.2)
+    new = holes_from_cloud(points, by_angle=LargestAngle(eps=0.2))
+    assert np.array_equal(old.boundary_mask, new.boundary_mask) and old.boundary_mask.any()
+    with pytest.deprecated_call():
+        old = holes_from_cloud(points, min_points=4)
+    wide = LargestAngle(neighbours=30, threshold=np.pi / 2, min_points=4)
+    new = holes_from_cloud(points, by_angle=wide)
+    assert np.array_equal(old.boundary_mask, new.boundary_mask) and old.boundary_mask.any()
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("mode", ["default", "paper"])
-def test_an_exact_plane_has_its_edge_only(axis: int, mode) -> None:
+@pytest.mark.parametrize("by_angle", [None, LargestAngle()])
+def test_an_exact_plane_has_its_edge_only(axis: int, by_angle: LargestAngle | None) -> None:
     """All heights equal to the last bit, normals along an axis: where Open3D's test finds nothing."""
     plane = np.roll(hex_plate(), axis - 2, axis=1)
-    found = holes_from_cloud(plane, mode=mode).holes
+    found = holes_from_cloud(plane, by_angle=by_angle).holes
     outer = max(found, key=lambda hole: hole.perimeter)
     assert outer.kind == "edge"
     assert np.allclose(outer.extent, [0.12, 0.12, 0], atol=2 * STEP)
     assert np.allclose(np.abs(outer.normal), np.eye(3)[axis], atol=1e-9)
-    if mode == "default":
+    if by_angle is None:
         assert len(found) == 1 and outer.perimeter == pytest.approx(8 * 0.06, rel=0.1)
 
 

@@ -1,6 +1,8 @@
 """The wheel and the sdist in an environment of their own, and the check of the system before a download."""
 
 import os
+import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -74,6 +76,35 @@ def test_the_system_is_looked_at_before_anything_is_downloaded(tmp_path):
         order = [i for i, line in enumerate(lines) if "check_system.py" in line or "pip install" in line]
         assert "check_system.py" in lines[order[0]] and len(order) == (3 if extra else 2)
         assert ("'.[test]'" in done.stdout) == extra
+
+
+def test_the_readme_names_what_is_looked_for():
+    packages = runpy.run_path(str(CHECK))["LIBRARIES"].values()
+    line = next(x for x in (ROOT / "README.md").read_text().splitlines() if x.startswith("apt-get install"))
+    assert line.split()[3:] == ["python3-venv", "make", *packages]
+
+
+def test_libraries_that_are_really_hidden(tmp_path):
+    """In a mount namespace whose libusb and libEGL are empty files, `make demo` ends before a download."""
+    if os.geteuid() != 0 or run("unshare", "-m", "true").returncode != 0:
+        pytest.skip("needs root and mount namespaces")
+    known = run("ldconfig", "-p").stdout
+    files = [x.split()[-1] for x in known.splitlines() if re.search(r"libusb-1.0.so.0|libEGL.so.1", x)]
+    for name in ("Makefile", "pyproject.toml", "constraints.txt"):
+        shutil.copy(ROOT / name, tmp_path)
+    (tmp_path / "models").mkdir()
+    shutil.copy(CHECK, tmp_path / "models")
+    fake_apt(tmp_path / "bin", False)
+    hide = "".join(f"mount --bind /dev/null {Path(f).resolve()} && " for f in files)
+    path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
+    command = f"{hide} make PYTHON={sys.executable} demo"
+    done = run("unshare", "-m", "sh", "-c", command, cwd=tmp_path, env={**os.environ, "PATH": path})
+    assert done.returncode == 2, done.stdout + done.stderr
+    lines = [x for x in done.stderr.splitlines() if not x.startswith("make")]
+    assert lines == [
+        "system libraries are missing; install them with: apt-get install -y libusb-1.0-0 libegl1"
+    ]
+    assert not (tmp_path / ".venv").exists() and "pip" not in done.stdout
 
 
 @pytest.mark.slow

@@ -225,7 +225,7 @@ def exhaustive(hand, walk, clearance):
     least = {}
     for block in blocks(hand.record, walk, hand.arm, hand.solids):
         motion = motion_at(hand.arm, hand.record, block.t, block.q)
-        for a, b, allowed in pairs_of(hand.solids, clearance):
+        for a, b, allowed in pairs_of(hand.solids, clearance, hand.arm.joined, {}):
             Xa, Xb = (np.broadcast_to(s.poses(motion), (len(block.t), 4, 4)) for s in (a, b))
             found = [exact_distance(a, b, Xa[k], Xb[k], needed=allowed > 0) for k in range(len(block.t))]
             if min(found) < allowed:
@@ -237,7 +237,7 @@ def quick(hand, walk, clearance):
     worst = {}
     for block in blocks(hand.record, walk, hand.arm, hand.solids):
         motion = motion_at(hand.arm, hand.record, block.t, block.q)
-        for a, b, allowed in pairs_of(hand.solids, clearance):
+        for a, b, allowed in pairs_of(hand.solids, clearance, hand.arm.joined, {}):
             contact._judge_pair(a, b, a.poses(motion), b.poses(motion), allowed, block, worst)
     return worst
 
@@ -276,18 +276,24 @@ def test_a_pair_is_not_measured_more_often_than_it_can_change(hand, monkeypatch)
 
 
 def test_pairs_that_are_looked_at(hand):
-    pairs = {(a.name, b.name): allowed for a, b, allowed in pairs_of(hand.solids, 0.03)}
+    pairs = {(a.name, b.name): allowed for a, b, allowed in pairs_of(hand.solids, 0.03, hand.arm.joined, {})}
     tools = [s.name for s in hand.solids if s.group == 7]
     assert len(tools) == 4
     for name in tools:
         for other in ("part", "table", "table_column", "floor"):
             assert pairs[name, other] == 0.03
-    groups = {(a.group, b.group) for a, b, allowed in pairs_of(hand.solids, 0.03) if allowed == 0}
-    touching = {(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 7), (0, 2), (4, 6), (5, 7)}
+    groups = {
+        (a.group, b.group)
+        for a, b, allowed in pairs_of(hand.solids, 0.03, hand.arm.joined, {})
+        if allowed == 0
+    }
+    touching = {(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 7)}
     links = {(i, j) for i in range(8) for j in range(i + 1, 8)} - touching - missing(hand)
     # What turns must not touch the base, either.
     assert groups == links | {(PART, 0), (STILL, 0)}
-    assert all((a.group, b.name) != (1, "floor") for a, b, _ in pairs_of(hand.solids, 0.03))
+    assert all(
+        (a.group, b.name) != (1, "floor") for a, b, _ in pairs_of(hand.solids, 0.03, hand.arm.joined, {})
+    )
 
 
 def missing(hand):

@@ -11,7 +11,12 @@ from scipy.spatial.transform import Rotation
 from scanmotion.core.errors import InputError
 from scanmotion.core.scanner import Scanner
 from scanmotion.sensing.holes.find import Hole
-from scanmotion.views.hole_views import grid_positions, local_viewpoints, paper_positions
+from scanmotion.views.hole_views import (
+    grid_positions,
+    local_viewpoints,
+    paper_local_viewpoints,
+    paper_positions,
+)
 
 SCANNER = Scanner()
 L, W = (float(side) for side in SCANNER.field(0.7))
@@ -136,7 +141,7 @@ def test_viewpoints_stand_over_the_box_and_their_fields_cover_it(seed, a, b, d):
 def test_the_paper_warns_exactly_where_it_leaves_a_gap(size, caplog):
     a, b = size
     with caplog.at_level(logging.WARNING, logger="scanmotion"):
-        views = local_viewpoints([hole(a, b)], SCANNER, mode="paper")
+        views = paper_local_viewpoints([hole(a, b)], SCANNER)
     assert len(views) == len(paper_positions(a, b, L, W))
     gap = covered(a, b, paper_positions(a, b, L, W), L, W) < 1 - 1e-9
     assert bool(caplog.records) == gap
@@ -168,6 +173,13 @@ def test_holes_are_numbered_in_their_order():
 def test_standoffs_out_of_range_are_refused(d):
     with pytest.raises(InputError, match="outside the scanner's range"):
         local_viewpoints([hole(0.1, 0.1)], SCANNER, standoff=d)
+
+
+def test_the_deprecated_mode_is_the_papers_function():
+    with pytest.deprecated_call():
+        old = local_viewpoints([hole(0.5, 0.3)], SCANNER, mode="paper")
+    new = paper_local_viewpoints([hole(0.5, 0.3)], SCANNER)
+    assert np.array_equal([v.X_OS for v in old], [v.X_OS for v in new])
 
 
 def test_an_unknown_mode_is_refused():

@@ -11,7 +11,7 @@ from scanmotion.core.summary import MarginsSummary
 from scanmotion.judge.contact import blocks, exact_distance
 from scanmotion.judge.margins import jacobians, margins_of
 from scanmotion.judge.motion import arm_of, motion_at
-from scanmotion.judge.solids import PART, meeting_carriers, pairs_of, solids_of
+from scanmotion.judge.solids import PART, pairs_of, solids_of
 from scanmotion.plan_io.read import read_plan, read_trajectory
 from scanmotion.report.words import margin_rows
 
@@ -44,7 +44,7 @@ def test_least_distances_are_those_of_brute_force(folder, margins, read):
     """Every pair at every 40th configuration: none is nearer, and the named one is as near as is said."""
     record, trajectory, arm = read
     solids = solids_of(folder, record, arm)
-    pairs = [p for p in pairs_of(solids, 1.0, meeting_carriers(solids, record, arm)) if p[2] > 0]
+    pairs = [p for p in pairs_of(solids, 1.0, arm.joined, {}) if p[2] > 0]
     q = np.concatenate([b.q for b in blocks(record, trajectory, arm, solids)])[::40]
     motion = motion_at(arm, record, np.arange(len(q), dtype=float), q)
     poses = {id(s): np.broadcast_to(s.poses(motion), (len(q), 4, 4)) for s in solids}

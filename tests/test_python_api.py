@@ -199,6 +199,25 @@ def test_ways_of_a_given_order_are_the_best_by_brute_force(kr240_cell, rng):
     assert cost(ways) == pytest.approx(min(cost(w) for w in every), abs=1e-9)
 
 
+def test_viewpoints_as_arrays_and_tables(pitted_plan):
+    table, views = pitted_plan.viewpoints.to_dataframe(), pitted_plan.viewpoints
+    assert list(table["id"]) == [v.id for v in views] and views.X_OS.shape == (len(views), 4, 4)
+    assert np.allclose(table[["x_m", "y_m", "z_m"]], views.X_OS[:, :3, 3])
+    assert np.allclose(np.linalg.norm(table[["dx", "dy", "dz"]], axis=1), 1.0)
+    assert views._repr_html_().count("<tr>") == len(views) + 1
+    empty = type(views)()
+    assert empty.X_OS.shape == (0, 4, 4) and len(empty.to_dataframe()) == 0
+
+
+def test_a_trajectory_as_a_table(pitted_plan):
+    trajectory = pitted_plan.trajectory
+    table = trajectory.to_dataframe(pitted_plan.cell.joint_names)
+    assert np.array_equal(table[list(pitted_plan.cell.joint_names)].to_numpy(), trajectory.q)
+    scanning = sum(o.t_end - o.t_start for o in trajectory.operations if o.scanning)
+    assert table.loc[table["scanning"], "t"].diff().fillna(0).clip(upper=0.011).sum() <= scanning + 1e-6
+    assert set(table["kind"]) == {o.kind for o in trajectory.operations}
+
+
 def test_short_names_for_people():
     assert repr(sm.box_part(0.1, 0.12, 0.14)) == "Part('box', 12 triangles, 100 x 120 x 140 mm)"
     assert repr(views()[0]) == "Viewpoint('front', station, at (600, 0, 300) mm, 550 mm off)"

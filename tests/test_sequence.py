@@ -117,13 +117,13 @@ def _check_sweep(cell, stop, by_id):
     assert np.abs(away).max() < 1e-5
 
 
-@pytest.mark.parametrize("mode", ["default", "paper"])
-def test_tour_keeps_the_rules(kr240_cell, reaches, mode):
+@pytest.mark.parametrize("ordering", [mut.by_seconds, mut.by_distance])
+def test_tour_keeps_the_rules(kr240_cell, reaches, ordering):
     tour = mut.sequence(
         kr240_cell,
         reaches,
         start_q=kr240_cell.home,
-        mode=mode,
+        ordering=ordering,
         rng=np.random.default_rng(0),
         options=QUICK,
         path_free=lambda path: (True, -1, ("", "")),
@@ -131,16 +131,21 @@ def test_tour_keeps_the_rules(kr240_cell, reaches, mode):
     _check_tour(kr240_cell, tour, reaches)
     assert not tour.unplaced
     assert [s.kind for s in tour.stops].count("sweep") == 1
-    if mode == "paper":
+    if ordering is mut.by_distance:
         assert all(abs(s.q_in[6]) < 2 * np.pi + 1e-9 for s in tour.stops)
 
 
 def test_default_is_faster_than_paper(kr240_cell, reaches):
     tours = [
         mut.sequence(
-            kr240_cell, reaches, start_q=kr240_cell.home, mode=m, rng=np.random.default_rng(0), options=QUICK
+            kr240_cell,
+            reaches,
+            start_q=kr240_cell.home,
+            ordering=way,
+            rng=np.random.default_rng(0),
+            options=QUICK,
         )
-        for m in ("default", "paper")
+        for way in (mut.by_seconds, mut.by_distance)
     ]
     assert tours[0].seconds < tours[1].seconds
     assert tours[0].floor == pytest.approx(tours[1].floor, rel=1e-3)
@@ -207,9 +212,9 @@ def test_nothing_to_do(kr240_cell):
     assert tour.stops == () and tour.seconds == 0.0 and tour.floor == 0.0
 
 
-@pytest.mark.parametrize("bad", [{"mode": "fast"}, {"start_q": np.zeros(6)}, {"start_q": np.full(7, np.nan)}])
+@pytest.mark.parametrize("bad", [{"start_q": np.zeros(6)}, {"start_q": np.full(7, np.nan)}])
 def test_bad_input_is_one_clear_line(kr240_cell, bad):
-    keywords = {"start_q": kr240_cell.home, "mode": "default", **bad}
+    keywords = {"start_q": kr240_cell.home, **bad}
     with pytest.raises(InputError):
         mut.sequence(kr240_cell, [], rng=np.random.default_rng(0), **keywords)
 

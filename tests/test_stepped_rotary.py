@@ -7,7 +7,7 @@ from scanmotion.core.errors import InputError
 from scanmotion.core.scanner import Scanner
 from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.sensing.visibility import scene_from, turns_see
-from scanmotion.views.stepped_rotary import oblique_turn, stepped_rotary
+from scanmotion.views.stepped_rotary import oblique_turn, paper_stepped_rotary, stepped_rotary
 
 SCANNER = Scanner()
 WORKED = (0.33, 0.20, 0.60)
@@ -28,7 +28,7 @@ def seen_share(box, views, *, table_z=0.0):
 
 
 def test_the_worked_example_literally():
-    step = stepped_rotary(*WORKED, SCANNER, standoff=0.7, mode="paper", pedestal=0.35)
+    step = paper_stepped_rotary(*WORKED, SCANNER, standoff=0.7, pedestal=0.35)
     places = np.array([v.p_OS for v in step.viewpoints]) * 1e3
     expected = [[771.218, 0, 950], [865, 0, 300], [865, 0, 0], [771.218, 0, -350]]
     np.testing.assert_allclose(places, expected, atol=5e-4)
@@ -40,7 +40,7 @@ def test_the_worked_example_literally():
 
 
 def test_the_bottom_viewpoint_needs_its_pedestal():
-    step = stepped_rotary(*WORKED, SCANNER, standoff=0.7, mode="paper", pedestal=0.349)
+    step = paper_stepped_rotary(*WORKED, SCANNER, standoff=0.7, pedestal=0.349)
     ((name, reason),) = step.dropped
     assert name == "G3" and "350 mm below" in reason and "349 mm" in reason
     assert [v.id for v in step.viewpoints] == ["G0", "G1", "G2"]
@@ -49,7 +49,7 @@ def test_the_bottom_viewpoint_needs_its_pedestal():
 @pytest.mark.parametrize("height", [0.05, 0.375, 0.376, 0.6, 1.2, 1.7])
 @pytest.mark.parametrize("d", [0.5, 0.7, 0.9])
 def test_paper_steps_are_the_least_that_the_field_bridges(height, d):
-    views = stepped_rotary(0.6, 0.33, height, SCANNER, standoff=d, mode="paper").viewpoints
+    views = paper_stepped_rotary(0.6, 0.33, height, SCANNER, standoff=d).viewpoints
     side = 2 * d * np.tan(np.deg2rad(15.0))
     k = len(views) - 1
     assert height / k <= side + 1e-9 and (k == 1 or height / (k - 1) > side)
@@ -58,9 +58,9 @@ def test_paper_steps_are_the_least_that_the_field_bridges(height, d):
     assert all(v.p_OS[0] == pytest.approx(0.3 + d) for v in views[1:])
 
 
-@pytest.mark.parametrize("mode", ["paper", "default"])
-def test_all_are_revolutions_with_a_side_of_the_field_level(mode):
-    step = stepped_rotary(*WORKED, SCANNER, mode=mode)
+@pytest.mark.parametrize("turns", [paper_stepped_rotary, stepped_rotary])
+def test_all_are_revolutions_with_a_side_of_the_field_level(turns):
+    step = turns(*WORKED, SCANNER)
     assert len({v.id for v in step.viewpoints}) == len(step.viewpoints)
     for v in step.viewpoints:
         assert (v.step, v.kind, v.slack.roll) == ("global", "revolution", False)
@@ -68,7 +68,7 @@ def test_all_are_revolutions_with_a_side_of_the_field_level(mode):
         np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
         assert np.linalg.det(R) == pytest.approx(1.0)
         upright = abs(R[2, 1]) < 1e-12 and R[2, 0] > 0
-        assert upright or (mode == "default" and abs(R[2, 0]) < 1e-12)
+        assert upright or (turns is stepped_rotary and abs(R[2, 0]) < 1e-12)
 
 
 @pytest.mark.parametrize("box", BOXES, ids=str)
@@ -131,14 +131,21 @@ def test_an_oblique_line_passes_the_axis_at_its_offset(yaw, tilt):
     np.testing.assert_allclose(np.cross(target - X[:3, 3], X[:3, 2]), 0, atol=1e-12)
 
 
-@pytest.mark.parametrize("mode", ["paper", "default"])
+@pytest.mark.parametrize("turns", [paper_stepped_rotary, stepped_rotary])
 @pytest.mark.parametrize("bad", [0.0, -0.1, np.nan, np.inf])
 @pytest.mark.parametrize("axis", range(3))
-def test_bad_boxes_are_refused(mode, bad, axis):
+def test_bad_boxes_are_refused(turns, bad, axis):
     box = list(WORKED)
     box[axis] = bad
     with pytest.raises(InputError, match="sides must be positive"):
-        stepped_rotary(box[0], box[1], box[2], SCANNER, mode=mode)
+        turns(box[0], box[1], box[2], SCANNER)
+
+
+def test_the_deprecated_mode_is_the_papers_function():
+    with pytest.deprecated_call():
+        old = stepped_rotary(*WORKED, SCANNER, standoff=0.7, mode="paper").viewpoints
+    new = paper_stepped_rotary(*WORKED, SCANNER, standoff=0.7).viewpoints
+    assert np.array_equal([v.X_OS for v in old], [v.X_OS for v in new])
 
 
 def test_an_unknown_mode_is_refused():

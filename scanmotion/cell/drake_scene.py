@@ -9,7 +9,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from defusedxml.ElementTree import fromstring
 from pydrake.common import Parallelism
-from pydrake.geometry import Convex, ProximityProperties
+from pydrake.geometry import (
+    CollisionFilterDeclaration,
+    Convex,
+    GeometryId,
+    GeometrySet,
+    ProximityProperties,
+)
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import MultibodyPlant
@@ -17,7 +23,7 @@ from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 
 from scanmotion.cell.arm.robot import Body, Robot
 from scanmotion.cell.arm.robot_file import write_arm
-from scanmotion.cell.collision.pairs import ignored_carriers, on_floor
+from scanmotion.cell.collision.pairs import exempt_pairs, on_floor
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 
 # Drake tells of every port it opens and every context it allocates; warnings still come through. Who wants
@@ -158,14 +164,26 @@ def add_hull(plant: MultibodyPlant, cell: Cell) -> None:
     plant.RegisterCollisionGeometry(table, RigidTransform(X), shape, "part", ProximityProperties())
 
 
-def ignored_pairs(plant: MultibodyPlant, cell: Cell) -> list[tuple[Any, Any]]:
-    """Bodies of the plant that are not held against one another: see `collision.pairs`."""
+def exempt_ids(plant: MultibodyPlant, cell: Cell) -> list[tuple[GeometryId, GeometryId]]:
+    """Solids that the planner does not hold against one another though Drake would: see `collision.pairs`.
+
+    What is fixed to one another, and the links at either end of a joint, Drake leaves out by itself.
+    """
     arm, tool, floor = (plant.GetModelInstanceByName(name) for name in ("arm", "tool", "floor"))
-    of = {b.carrier: plant.GetBodyByName(b.carrier, arm) for b in cell.bodies if b.carrier}
-    of[""] = plant.GetBodyByName("tool", tool)
-    pairs = [(of[a], of[b]) for a, b in ignored_carriers(cell)]
-    standing = {b.carrier for b in cell.bodies if b.link < TOOL and not on_floor(cell, b)}
-    return pairs + [(of[name], plant.GetBodyByName("floor", floor)) for name in sorted(standing)]
+    ids: dict[int, GeometryId] = {}
+    carriers = {b.carrier for b in cell.bodies if b.link <= TOOL}
+    for carrier in sorted(carriers):
+        body = plant.GetBodyByName(carrier, arm) if carrier else plant.GetBodyByName("tool", tool)
+        own = [b for b in cell.bodies if b.link <= TOOL and b.carrier == carrier]
+        found = plant.GetCollisionGeometriesForBody(body)
+        ids |= {id(b): geometry for b, geometry in zip(own, found, strict=True)}
+    pairs = [(ids[id(e.a)], ids[id(e.b)]) for e in exempt_pairs(cell) if e.meets]
+    (ground,) = plant.GetCollisionGeometriesForBody(plant.GetBodyByName("floor", floor))
+    standing = [b for b in cell.bodies if 1 <= b.link < TOOL and not on_floor(cell, b)]
+    return pairs + [(ids[id(b)], ground) for b in standing]
+
+
+Pairs = list[tuple[GeometryId, GeometryId]]
 
 
 class DrakeCell:
@@ -176,9 +194,10 @@ class DrakeCell:
     Args:
         cell: the cell.
         hull: whether the part's hull is among the solids.
+        own_pairs: leaves no pair out but those that Drake does; `leave_out` may add to them.
     """
 
-    def __init__(self, cell: Cell, *, hull: bool = False) -> None:
+    def __init__(self, cell: Cell, *, hull: bool = False, own_pairs: bool = False) -> None:
         builder = RobotDiagramBuilder(time_step=0.0)
         instances = add_cell(builder.plant(), cell)
         if hull:
@@ -201,7 +220,8 @@ class DrakeCell:
         self._asked = (process.self_clearance_m, process.clearance_m)
         self._order = self._joint_order(cell)
         self.groups = self._groups(cell)
-        self._filter(cell)
+        if not own_pairs:
+            self.leave_out(exempt_ids(self.plant, cell))
 
     def _joint_order(self, cell: Cell) -> np.ndarray:
         """Index of each of A1..A6, E1 in the plant's position vector."""
@@ -215,10 +235,18 @@ class DrakeCell:
             "surroundings": WORLD,
         }
 
-    def _filter(self, cell: Cell) -> None:
-        """Links that touch by construction are not judged against one another."""
-        for a, b in ignored_pairs(self.plant, cell):
-            self.checker.SetCollisionFilteredBetween(a, b, True)
+    def leave_out(self, pairs: Pairs) -> None:
+        """Does not hold these solids against one another any more."""
+
+        def apply(model: Any, context: Any) -> None:
+            scene = model.scene_graph()
+            manager = scene.collision_filter_manager(
+                scene.GetMyMutableContextFromRoot(context.model_context())
+            )
+            for a, b in pairs:
+                manager.Apply(CollisionFilterDeclaration().ExcludeBetween(GeometrySet(a), GeometrySet(b)))
+
+        self.checker.PerformOperationAgainstAllModelContexts(apply)
 
     def positions(self, q: np.ndarray) -> np.ndarray:
         """The plant's positions for configurations (n, 7)."""

@@ -2,12 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from scanmotion.cell.arm.robot import Body, Robot
 from scanmotion.cell.settings.cell import CellSettings
 from scanmotion.core.part import Part
+
+if TYPE_CHECKING:
+    from scanmotion.cell.drake_model import DrakeModel
 
 TOOL, TABLE, WORLD = 7, 8, 9
 """Values of Body.link beside 0..6."""
@@ -42,6 +46,16 @@ class Cell:
     """Where a programme starts, shape (7,) [rad]."""
     bodies: tuple[Body, ...]
     """Every solid but the part: links, tool, table, pedestal, floor and obstacles."""
+
+    def drake(self, **options: Any) -> "DrakeModel":
+        """The cell as a Drake diagram with plant, scene graph, context, part and drives.
+
+        Args:
+            options: time_step [s], meshcat; see `scanmotion.cell.drake_model.drake_model`.
+        """
+        from scanmotion.cell.drake_model import drake_model
+
+        return drake_model(self, **options)
 
     @property
     def urdf_path(self) -> Path:

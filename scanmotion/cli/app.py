@@ -80,7 +80,7 @@ class Commands(TyperGroup):
     def _usage(self, error: Exception) -> int:
         """Mistakes in the command line itself; what is none is a fault of ours and is raised."""
         if type(error).__name__ == "NoArgsIsHelpError":
-            error.show()  # pyright: ignore
+            error.show()
             return BAD_INPUT
         if type(error).__name__ == "Abort":
             return INTERRUPTED
@@ -91,7 +91,7 @@ class Commands(TyperGroup):
             return FAULT
         context = getattr(error, "ctx", None)
         hint = f" (see {context.command_path} --help)" if context is not None else ""
-        return refuse(error.format_message().rstrip(".") + hint)  # pyright: ignore
+        return refuse(error.format_message().rstrip(".") + hint)
 
 
 app = typer.Typer(

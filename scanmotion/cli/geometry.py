@@ -34,7 +34,7 @@ def inspect(
     units: Annotated[
         str, typer.Option("--units", help="Unit of the file; what it states, else mm unless its size says m.")
     ] = "",
-    up: Up = "+z",
+    up: Up = "",
     picture: Annotated[
         Path | None,
         typer.Option("--picture", help="Write six views of it, .png or .html.", rich_help_panel=OUT),
@@ -118,7 +118,7 @@ def holes(
     units: Annotated[
         str, typer.Option("--units", help="Unit of the file; what it states, else mm unless its size says m.")
     ] = "",
-    up: Up = "+z",
+    up: Up = "",
     mode: Mode = "default",
     out: Annotated[
         Path | None,
@@ -185,10 +185,12 @@ def scan_from(file: Path, units: str, up: str) -> Any:
 def holes_of(part: Any, mode: str) -> Any:
     """The hole report of a mesh or a cloud."""
     from scanmotion.sensing.holes.find import holes_from_cloud, holes_from_mesh
+    from scanmotion.sensing.holes.paper_clusters import LargestAngle
 
+    by_angle = LargestAngle() if mode == "paper" else None
     if part.is_mesh:
-        return holes_from_mesh(part.vertices, part.triangles, mode=mode, weld=part.report is None)
-    return holes_from_cloud(part.vertices, normals=part.normals, mode=mode)  # pyright: ignore
+        return holes_from_mesh(part.vertices, part.triangles, by_angle=by_angle, weld=part.report is None)
+    return holes_from_cloud(part.vertices, normals=part.normals, by_angle=by_angle)
 
 
 def draw_holes(part: Any, report: Any, path: Path) -> Path:
@@ -204,7 +206,7 @@ def viewpoints(
     part: PartFile = None,
     scan: ScanFile = None,
     units: Units = "",
-    up: Up = "+z",
+    up: Up = "",
     place: Place = "",
     robot: Robot = None,
     cell: CellFile = None,
@@ -242,20 +244,17 @@ def choose_viewpoints(subject: Any, source: str, settings: Any, mode: str) -> tu
     """Viewpoints and (id, reason) of those left out, for a box or mesh (global) or a scan (local)."""
     standoff, scanner = settings.process.standoff_m, settings.scanner_model()
     if source == "scan":
-        from scanmotion.views.hole_views import local_viewpoints
+        from scanmotion.views.hole_views import local_viewpoints, paper_local_viewpoints
 
-        report = holes_of(subject, mode)
-        return tuple(local_viewpoints(report.holes, scanner, standoff=standoff, mode=mode)), ()
-    from scanmotion.views.stepped_rotary import stepped_rotary
+        over = paper_local_viewpoints if mode == "paper" else local_viewpoints
+        return over(holes_of(subject, mode).holes, scanner, standoff=standoff), ()
+    from scanmotion.views.stepped_rotary import paper_stepped_rotary, stepped_rotary
 
-    step = stepped_rotary(
-        *map(float, subject.extent),
-        scanner=scanner,
-        standoff=standoff,
-        mode=mode,
-        pedestal=settings.pedestal.height_m,
-    )
-    return tuple(step.viewpoints), tuple(step.dropped)
+    turns = paper_stepped_rotary if mode == "paper" else stepped_rotary
+    length, width, height = (float(side) for side in subject.extent)
+    pedestal = settings.pedestal.height_m
+    step = turns(length, width, height, scanner, standoff=standoff, pedestal=pedestal)
+    return step.viewpoints, step.dropped
 
 
 VIEW_HEADER = ("viewpoint", "step", "kind", "x mm", "y mm", "z mm", "direction", "standoff mm")

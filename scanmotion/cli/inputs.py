@@ -51,7 +51,13 @@ Units = Annotated[
     ),
 ]
 Up = Annotated[
-    str, typer.Option("--up", help="Axis of the file that points up, e.g. +z or -y.", rich_help_panel=PART)
+    str,
+    typer.Option(
+        "--up",
+        help="Axis of the file that points up, e.g. +z or -y. By default +z, and +y in glTF by its standard.",
+        rich_help_panel=PART,
+        show_default=False,
+    ),
 ]
 Place = Annotated[
     str,
@@ -132,14 +138,14 @@ def part_and_source(
     scan: Path | None,
     *,
     units: str = "",
-    up: str = "+z",
+    up: str = "",
     place: str = "",
 ) -> tuple["Part", str]:
     """The part and where it comes from: "mesh", "box" or "scan"; the built-in carving where none is given."""
     from scanmotion.geometry.parts.make_part import carving, part_from_file
 
     given = only_one(part=part, box=box, scan=scan)
-    strange = {"units": bool(units), "up": up != "+z", "place": bool(place)}
+    strange = {"units": bool(units), "up": bool(up), "place": bool(place)}
     if part is None and scan is None and any(strange.values()):
         name = next(name for name, set_ in strange.items() if set_)
         what = "--box is in mm, z up" if box is not None else "it is about a file"

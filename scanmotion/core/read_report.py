@@ -62,4 +62,6 @@ class ReadReport:
 
     def record(self) -> dict[str, Any]:
         """As a document for JSON."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        told: dict[str, Any] = asdict(self)
+        lists = ("size_mm", "columns", "changes", "warnings")
+        return {k: list(v) if k in lists else v for k, v in told.items()}

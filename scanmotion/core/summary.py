@@ -199,6 +199,14 @@ class HelixSummary(Open):
     note: str
 
 
+class PairSummary(Open):
+    """Two solids or links that are not held apart, and why."""
+
+    a: str
+    b: str
+    reason: str
+
+
 class DrakeSummary(Open):
     """How much of the motion Drake checked, and how."""
 
@@ -206,6 +214,8 @@ class DrakeSummary(Open):
     way_m: Real
     by_triangles: Count
     findings: Count
+    not_held: list[PairSummary] = []
+    """Every pair that Drake left out, by its own list."""
 
 
 class ReadSummary(Open):
@@ -317,7 +327,7 @@ class Summary(Open):
     @property
     def finding_lines(self) -> list[str]:
         """Each finding as one line, whether it is a sentence or a record."""
-        lines = []
+        lines: list[str] = []
         for found in self.findings:
             if isinstance(found, dict):
                 found = str(found.get("message") or ", ".join(f"{k} {v}" for k, v in found.items()))

@@ -1,9 +1,12 @@
 """Operations and the timed trajectory: the nouns that timing makes and that judge, twin and exports read."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+
+from scanmotion.core.support.dataframe import dataframe
 
 OperationKind = Literal["transit", "revolution", "sweep", "dwell", "helix", "path"]
 SCANNING: frozenset[str] = frozenset({"revolution", "sweep", "dwell", "helix", "path"})
@@ -56,6 +59,25 @@ class Trajectory:
     def duration(self) -> float:
         """Total time [s]."""
         return float(self.t[-1])
+
+    def to_dataframe(self, joint_names: Sequence[str] = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")) -> Any:
+        """A pandas DataFrame, a row a sample: t [s], joints [rad], operation, its kind, whether it scans.
+
+        Args:
+            joint_names: of the seven joints, as `plan.cell.joint_names` has them.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        kinds = np.array([o.kind for o in self.operations])
+        scans = np.array([o.scanning for o in self.operations])
+        joints = dict(zip(joint_names, self.q.T, strict=True))
+        index = {
+            "operation": self.operation,
+            "kind": kinds[self.operation],
+            "scanning": scans[self.operation],
+        }
+        return dataframe({"t": self.t, **joints, **index})
 
 
 def joined(first: Trajectory, second: Trajectory) -> Trajectory:

@@ -1,9 +1,12 @@
 """Viewpoint: where the scanner should stand, in the object frame, and what it may give way in."""
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from html import escape
+from typing import Any, Literal
 
 import numpy as np
+
+from scanmotion.core.support.dataframe import dataframe
 
 Step = Literal["global", "local"]
 Kind = Literal["revolution", "station"]
@@ -70,6 +73,46 @@ class Viewpoint:
     def moved(self, X_OS: np.ndarray) -> "Viewpoint":
         """The same viewpoint at another pose."""
         return replace(self, X_OS=X_OS)
+
+
+class Viewpoints(tuple[Viewpoint, ...]):
+    """Viewpoints in an order: a tuple with arrays and a table of all of them."""
+
+    __slots__ = ()
+
+    @property
+    def X_OS(self) -> np.ndarray:
+        """Poses of S in O, shape (n, 4, 4)."""
+        return np.array([v.X_OS for v in self]).reshape(-1, 4, 4)
+
+    def columns(self) -> dict[str, list[str] | np.ndarray]:
+        """What a table of them holds, by column: positions and standoff [m], direction as a unit vector."""
+        X = self.X_OS
+        text = {
+            name: [str(getattr(v, name)) for v in self] for name in ("id", "step", "kind", "sweep", "note")
+        }
+        where = dict(zip(("x_m", "y_m", "z_m"), X[:, :3, 3].T, strict=True))
+        aims = dict(zip(("dx", "dy", "dz"), X[:, :3, 2].T, strict=True))
+        note = text.pop("note")
+        return {**text, **where, **aims, "standoff_m": np.array([v.standoff for v in self]), "note": note}
+
+    def to_dataframe(self) -> Any:
+        """The same as a pandas DataFrame, a row a viewpoint.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        return dataframe(self.columns())
+
+    def _repr_html_(self) -> str:
+        """A table for notebooks."""
+        rows = "".join(
+            f"<tr><td>{escape(v.id)}</td><td>{v.step}</td><td>{v.kind}</td>"
+            f"<td>{', '.join(f'{1e3 * x:.0f}' for x in v.p_OS)}</td><td>{1e3 * v.standoff:.0f}</td></tr>"
+            for v in self
+        )
+        head = "".join(f"<th>{h}</th>" for h in ("viewpoint", "step", "kind", "at [mm]", "standoff [mm]"))
+        return f"<table><tr>{head}</tr>{rows}</table>"
 
 
 def look_at(p_OS: np.ndarray, direction: np.ndarray, *, roll: float = 0.0) -> np.ndarray:

@@ -43,7 +43,7 @@ def start_job(
         InputError: the folder holds something, or nothing could be planned.
     """
     made = plan(part, settings, options=PlanOptions(source="box", seed=seed), progress=progress)
-    job = new_job(folder, cell, settings, JobRecord(name=folder.name, box_mm=box_mm, seed=seed))  # pyright: ignore
+    job = new_job(folder, cell, settings, JobRecord(name=folder.name, box_mm=box_mm, seed=seed))
     return _with_made(job, made, "global")
 
 

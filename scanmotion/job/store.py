@@ -51,14 +51,14 @@ class BatchEntry(_Record):
 class JobRecord(_Record):
     """job.json."""
 
-    format: int = Field(1, ge=1, le=1)
+    format: int = Field(default=1, ge=1, le=1)
     name: str
     box_mm: tuple[float, float, float]
     seed: int = Field(ge=0)
     plans: tuple[PlanEntry, ...] = ()
     batches: tuple[BatchEntry, ...] = ()
     calibration: dict[str, Any] | None = Field(
-        None, description="in the keys of the cell's section calibration"
+        default=None, description="in the keys of the cell's section calibration"
     )
 
 

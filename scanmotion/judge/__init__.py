@@ -85,9 +85,10 @@ def _check_summary(summary: object, scan: float, cycle: float) -> list[Finding]:
 
 def _check_twin(data: object, trajectory: Trajectory) -> list[Finding]:
     """trajectory.json carries the same samples; a controller may be fed from either."""
+    told = data if isinstance(data, dict) else {}
     try:
-        t = np.array(data["time"], dtype=float)  # type: ignore[index]
-        q = np.array(data["position"], dtype=float)  # type: ignore[index]
+        t = np.array(told["time"], dtype=float)
+        q = np.array(told["position"], dtype=float)
         same = t.shape == trajectory.t.shape and q.shape == trajectory.q.shape
         # The CSV carries 0.1 ms and 1e-8 deg.
         if same and np.abs(t - trajectory.t).max() < 1e-4 and np.abs(q - trajectory.q).max() < 1e-8:

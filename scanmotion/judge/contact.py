@@ -15,7 +15,7 @@ import numpy as np
 from scanmotion.core.finding import Finding
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.judge.motion import Motion, UrdfArm, motion_at
-from scanmotion.judge.solids import PART, STILL, Solid, meeting_carriers, pairs_of, solids_of
+from scanmotion.judge.solids import PART, STILL, Solid, meeting_solids, pairs_of, solids_of
 from scanmotion.plan_io.schema import PlanRecord
 
 STEP_M = 0.004
@@ -62,7 +62,8 @@ def check_clearance(
         PlanFileError: the part cannot be read.
     """
     solids = solids_of(folder, record, arm)
-    pairs = pairs_of(solids, record.process.clearance_m, meeting_carriers(solids, record, arm))
+    meeting = meeting_solids(solids, record, arm)
+    pairs = pairs_of(solids, record.process.clearance_m, arm.joined, meeting)
     worst: Worst = {}
     for block in blocks(record, trajectory, arm, solids):
         motion = motion_at(arm, record, block.t, block.q)

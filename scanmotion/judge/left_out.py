@@ -3,11 +3,22 @@
 Its own list, by its own rules: nothing of the planner is asked.
 """
 
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 
-from scanmotion.judge.motion import arm_of
-from scanmotion.judge.solids import PART, STILL, Solid, meeting_carriers, pairs_of, solids_of
+from scanmotion.judge.motion import UrdfArm, arm_of
+from scanmotion.judge.solids import (
+    PART,
+    STILL,
+    Meeting,
+    Solid,
+    meeting_solids,
+    pair_key,
+    pairs_of,
+    rigid,
+    solids_of,
+)
 from scanmotion.plan_io.read import read_plan
 from scanmotion.plan_io.schema import PlanRecord
 
@@ -28,16 +39,22 @@ def not_judged(folder: str | Path) -> list[dict[str, str]]:
     record = read_plan(folder)
     arm = arm_of(folder, record)
     solids = solids_of(folder, record, arm)
-    meeting = meeting_carriers(solids, record, arm)
-    judged = {frozenset((_name(a), _name(b))) for a, b, _ in pairs_of(solids, 1.0, meeting)}
-    first: dict[str, Solid] = {}
+    meeting = meeting_solids(solids, record, arm)
+    judged = {frozenset((id(a), id(b))) for a, b, _ in pairs_of(solids, 1.0, arm.joined, meeting)}
+    groups: dict[str, list[Solid]] = {}
     for solid in solids:
-        first.setdefault(_name(solid), solid)
-    return [
-        {"a": a, "b": b, "reason": _reason(first[a], first[b], record)}
-        for a, b in combinations(first, 2)
-        if frozenset((a, b)) not in judged
-    ]
+        groups.setdefault(_name(solid), []).append(solid)
+    told = partial(_reason, record=record, arm=arm, meeting=meeting)
+    out = []
+    for one, other in combinations(groups, 2):
+        both = [(a, b) for a in groups[one] for b in groups[other]]
+        left = [(a, b) for a, b in both if frozenset((id(a), id(b))) not in judged]
+        if len(left) == len(both):
+            out.append({"a": one, "b": other, "reason": told(*left[0])})
+            continue
+        # Of two links that are held apart otherwise, single solids that meet by construction.
+        out += [{"a": f"{one}: {a.name}", "b": f"{other}: {b.name}", "reason": told(a, b)} for a, b in left]
+    return out
 
 
 def _name(solid: Solid) -> str:
@@ -46,7 +63,7 @@ def _name(solid: Solid) -> str:
     return f"link {solid.carrier}" if solid.carrier else solid.name
 
 
-def _reason(a: Solid, b: Solid, record: PlanRecord) -> str:
+def _reason(a: Solid, b: Solid, record: PlanRecord, arm: UrdfArm, meeting: Meeting) -> str:
     low, high = sorted((a, b), key=lambda solid: solid.group)
     if low.group < 0 and high.group <= 0:
         if PART in (a.group, b.group):
@@ -54,11 +71,9 @@ def _reason(a: Solid, b: Solid, record: PlanRecord) -> str:
         return "neither moves"
     if low.group == STILL:
         return "what the first joint turns stands on the floor"
-    i, j = min(low.group, 6), min(high.group, 6)
+    i, j = rigid(low), rigid(high)
     if i == j:
         return "fixed to one another"
-    if a.side or b.side:
-        return "they meet in every position of the joints between them"
-    if j - i == 1:
+    if frozenset((a.carrier, b.carrier)) in arm.joined:
         return f"joined by {record.robot_joints[i]}"
-    return "two joints apart: the model's solids meet where the robot's bodies do not"
+    return f"they meet in {meeting[pair_key(a, b)]:.0%} of the positions of the joints between them"

@@ -13,7 +13,7 @@ import numpy as np
 from scanmotion.core.summary import Extreme, FastestSummary, JointMargin, Margin, MarginsSummary
 from scanmotion.judge.contact import Block, blocks, exact_distance, separation
 from scanmotion.judge.motion import Motion, UrdfArm, arm_of, motion_at
-from scanmotion.judge.solids import PART, Solid, meeting_carriers, pairs_of, solids_of
+from scanmotion.judge.solids import PART, Solid, pairs_of, solids_of
 from scanmotion.plan_io.read import read_plan, read_trajectory
 from scanmotion.plan_io.schema import PlanRecord
 
@@ -36,7 +36,7 @@ def margins_of(folder: str | Path, *, progress: Callable[[float], None] | None =
     trajectory = read_trajectory(folder, record)
     arm = arm_of(folder, record)
     solids = solids_of(folder, record, arm)
-    pairs = [p[:2] for p in pairs_of(solids, 1.0, meeting_carriers(solids, record, arm)) if p[2] > 0.0]
+    pairs = [p[:2] for p in pairs_of(solids, 1.0, arm.joined, {}) if p[2] > 0.0]
     least: dict[bool, Margin] = {}
     for block in blocks(record, trajectory, arm, solids):
         motion = motion_at(arm, record, block.t, block.q)

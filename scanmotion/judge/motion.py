@@ -49,6 +49,8 @@ class UrdfArm:
     velocity: np.ndarray
     solids: tuple["LinkSolid", ...]
     """What hangs fixed on the chain, by side branches too."""
+    joined: frozenset[frozenset[str]]
+    """Links of the URDF at the two ends of each of the six joints."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -94,7 +96,7 @@ def arm_from_urdf(text: str, joints: tuple[str, ...], flange: str) -> UrdfArm:
 
 def _arm(root: Any, chain: list[Any], base: str) -> UrdfArm:
     X, screws, limits, links = np.eye(4), [], [], {base: (0, np.eye(4))}
-    own = set()
+    own, joined = set(), set()
     for joint in chain:
         X = X @ _origin(joint)
         if joint.get("type") != "fixed":
@@ -104,7 +106,9 @@ def _arm(root: Any, chain: list[Any], base: str) -> UrdfArm:
             w = w / np.linalg.norm(w)
             screws.append(np.concatenate([w, -np.cross(w, X[:3, 3])]))
             limits.append(_limits(joint))
-            own |= {joint.find(role).get("link") for role in ("parent", "child")}
+            ends = frozenset(joint.find(role).get("link") for role in ("parent", "child"))
+            own |= ends
+            joined.add(ends)
         links[joint.find("child").get("link")] = (len(screws), X)
     pending = [j for j in root.findall("joint") if j.find("child").get("link") not in links]
     solids = _solids(root, _with_branches(links, pending), own)
@@ -112,8 +116,9 @@ def _arm(root: Any, chain: list[Any], base: str) -> UrdfArm:
     if np.isnan(limits).any() or (low > high).any() or (speed <= 0).any():
         raise ValueError("limits of the joints")
     return UrdfArm(
-        screws=np.array(screws), X_BF=X, lower=low, upper=high, velocity=speed, solids=tuple(solids)
-    )
+        screws=np.array(screws), X_BF=X, lower=low, upper=high, velocity=speed, solids=tuple(solids),
+        joined=frozenset(joined),
+    )  # fmt: skip
 
 
 def _limits(joint: Any) -> list[float]:

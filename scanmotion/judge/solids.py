@@ -1,7 +1,8 @@
 """The solids of a written plan: FCL's shapes, the boxes that hold them, and where they are."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,12 @@ from scanmotion.plan_io.schema import PlanRecord
 
 TOOL, STILL, PART = 7, -1, -2
 """Groups beside the links 0..6."""
-_TOUCHING = {(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 7), (0, 2), (4, 6), (5, 7)}
-"""Links that meet by construction; base and link 2, links 4 and 6 by their boxes' excess."""
-_POSITIONS = {1: 24, 2: 9}
+_POSITIONS = {1: 30, 2: 9}
 """Positions of each joint that are tried, by how many lie between two links."""
+_NEARLY_ALWAYS = 0.9
+"""Share of positions from which on two solids count as meeting by construction."""
+Meeting = Mapping[tuple[str, str, str, str], float]
+"""Share of positions in which two solids meet, by carrier and name of each, in either order."""
 _FARTHEST_M = 100.0
 """No corner of a part is as far from its origin."""
 _TURNING, _UNDER = ("table", "pedestal"), ("table", "table_column", "pedestal", "floor")
@@ -135,14 +138,15 @@ def _mesh(folder: Path, name: str, scale: np.ndarray) -> tuple[Any, np.ndarray, 
 
 
 def pairs_of(
-    solids: list[Solid], clearance: float, meeting: frozenset[tuple[str, str]] = frozenset()
+    solids: list[Solid], clearance: float, joined: frozenset[frozenset[str]], meeting: Meeting
 ) -> list[tuple[Solid, Solid, float]]:
     """Which two must keep which distance: robot and surroundings the clearance, links must not touch.
 
     Args:
         solids: of `solids_of`.
         clearance: of robot and surroundings [m].
-        meeting: links of the URDF that meet in every position, from `meeting_carriers`.
+        joined: links of the URDF at the two ends of a joint.
+        meeting: solids that meet in nearly every position, from `meeting_solids`.
     """
     robot = [s for s in solids if s.group >= 1]
     around = [s for s in solids if s.group < 0]
@@ -155,7 +159,9 @@ def pairs_of(
     pairs += [(a, b, 0.0) for a in turning for b in base]
     for i, a in enumerate(links):
         for b in links[i + 1 :]:
-            if _rigid(a) != _rigid(b) and not _touching(a, b, meeting):
+            if rigid(a) == rigid(b) or frozenset((a.carrier, b.carrier)) in joined:
+                continue
+            if pair_key(a, b) not in meeting:
                 pairs.append((a, b, 0.0))
     return pairs
 
@@ -165,43 +171,55 @@ def stands_on(a: Solid, b: Solid) -> bool:
     return a.group == 1 and not a.side and b.name == "floor"
 
 
-def _rigid(a: Solid) -> int:
+def rigid(a: Solid) -> int:
     """What a solid moves with; the tool is fixed to link 6."""
     return min(a.group, 6)
 
 
-def _touching(a: Solid, b: Solid, meeting: frozenset[tuple[str, str]]) -> bool:
-    """Whether two solids of the robot meet by construction: those at the joints, and what always meets."""
-    if a.side or b.side:
-        return (a.carrier, b.carrier) in meeting
-    return (min(a.group, b.group), max(a.group, b.group)) in _TOUCHING
+def pair_key(a: Solid, b: Solid) -> tuple[str, str, str, str]:
+    """How `Meeting` calls two solids, whichever comes first."""
+    first, second = sorted(((a.carrier, a.name), (b.carrier, b.name)))
+    return (*first, *second)
 
 
-def meeting_carriers(solids: list[Solid], record: PlanRecord, arm: UrdfArm) -> frozenset[tuple[str, str]]:
-    """Links of the URDF, one of them on a side branch, that touch wherever the joints between them stand.
+def meeting_solids(solids: list[Solid], record: PlanRecord, arm: UrdfArm) -> Meeting:
+    """Solids that touch in nearly all of some positions of the one or two joints between them.
 
-    A solid that meets its neighbour in all of some positions cannot be kept off it by any motion.
+    No motion could keep them apart: the model has them meet by construction. Links at either end of a joint
+    are not asked about.
     """
     links = [s for s in solids if s.group >= 0]
-    out = set()
-    for first, second in combinations(sorted({(_rigid(s), s.carrier, s.side) for s in links}), 2):
-        count = second[0] - first[0]
-        if not 1 <= count <= 2 or not (first[2] or second[2]):
-            continue
-        each = _POSITIONS[count]
-        q = np.zeros((each**count, 7))
-        low, high = (np.clip(v, -2 * np.pi, 2 * np.pi) for v in (arm.lower, arm.upper))
-        ranges = [np.linspace(low[k], high[k], each) for k in range(first[0], second[0])]
-        q[:, first[0] : second[0]] = np.stack(np.meshgrid(*ranges), axis=-1).reshape(-1, count)
-        motion = motion_at(arm, record, np.arange(len(q), dtype=float), q)
-        of = [[s for s in links if s.carrier == c[1]] for c in (first, second)]
-        touch = np.zeros(len(q), bool)
-        for a, b in product(*of):
-            for n in np.flatnonzero(~touch):
-                touch[n] = _collide(a, b, a.poses(motion)[n], b.poses(motion)[n])
-        if touch.all():
-            out |= {(first[1], second[1]), (second[1], first[1])}
-    return frozenset(out)
+    spans: dict[tuple[int, int], list[tuple[Solid, Solid]]] = {}
+    for a, b in combinations(sorted(links, key=rigid), 2):
+        if rigid(b) - rigid(a) in _POSITIONS and frozenset((a.carrier, b.carrier)) not in arm.joined:
+            spans.setdefault((rigid(a), rigid(b)), []).append((a, b))
+    out = {}
+    for (first, last), pairs in spans.items():
+        motion = motion_at(arm, record, *_positions(arm, first, last))
+        most = (1 - _NEARLY_ALWAYS) * len(motion.t)
+        for a, b in pairs:
+            Xa, Xb = (np.broadcast_to(s.poses(motion), (len(motion.t), 4, 4)) for s in (a, b))
+            near = np.linalg.norm(Xa[:, :3, 3] - Xb[:, :3, 3], axis=1) < a.radius + b.radius
+            misses = int((~near).sum())
+            for n in np.flatnonzero(near):
+                if misses > most:
+                    break
+                misses += not _collide(a, b, Xa[n], Xb[n])
+            if misses <= most:
+                out[pair_key(a, b)] = 1 - misses / len(motion.t)
+    return out
+
+
+def _positions(arm: UrdfArm, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times and joints (n, 7) over the ranges of the joints from link `first` to `last`, in mixed order."""
+    each = _POSITIONS[last - first]
+    q = np.zeros((each ** (last - first), 7))
+    low, high = (np.clip(v, -2 * np.pi, 2 * np.pi) for v in (arm.lower, arm.upper))
+    ranges = [np.linspace(low[k], high[k], each) for k in range(first, last)]
+    q[:, first:last] = np.stack(np.meshgrid(*ranges), axis=-1).reshape(-1, last - first)
+    # Neighbours in a row meet alike: a stride that is prime to the number tells sooner.
+    q = q[np.argsort(np.arange(len(q)) * 37 % len(q), kind="stable")]
+    return np.arange(len(q), dtype=float), q
 
 
 def _collide(a: Solid, b: Solid, Xa: np.ndarray, Xb: np.ndarray) -> bool:

@@ -5,7 +5,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def atomic_folder(target: str | Path, files: Mapping[str, bytes | str], *, mark:
 
 
 @contextmanager
-def fresh_folder(target: str | Path, *, mark: str = MARK) -> Iterator[Path]:
+def fresh_folder(target: str | Path, *, mark: str = MARK) -> Generator[Path]:
     """An empty folder that takes the place of `target` when the block ends without an exception.
 
     Args:

@@ -130,7 +130,8 @@ def _segments(
     """One segment for each round of the summary: its operations, and the viewpoints up to its last one."""
     views = {v.id: viewpoint_of(v) for v in record.viewpoints}
     ends = _ends(trajectory, rounds)
-    found, first = [], 0
+    found: list[Segment] = []
+    first = 0
     for item, end in zip(rounds, ends, strict=True):
         # The floor is known of the whole only; it stands with the first.
         bound = 0.0 if found else floor
@@ -163,7 +164,8 @@ def _served(trajectory: Trajectory, first: int, end: int) -> list[str]:
 
 def _ends(trajectory: Trajectory, rounds: Sequence[RoundSummary]) -> list[int]:
     """For each round, how many operations are done when it has served as many viewpoints as it says."""
-    ends, at = [], 0
+    ends: list[int] = []
+    at = 0
     for item in rounds:
         left = item.viewpoints
         while left > 0 and at < len(trajectory.operations):

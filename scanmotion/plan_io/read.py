@@ -111,7 +111,8 @@ def read_trajectory(folder: str | Path, record: PlanRecord) -> Trajectory:
     if len(lines) > MAX_SAMPLES:
         raise PlanFileError(f"trajectory.csv: more than {MAX_SAMPLES} samples")
     kinds = [o.kind for o in record.operations]
-    table, operation = [], []
+    table: list[list[float]] = []
+    operation: list[int] = []
     for n, line in enumerate(lines[1:], 2):
         numbers, index = _row(line, n, kinds)
         table.append(numbers)

@@ -83,7 +83,8 @@ def _files(record: PlanRecord, cell: Cell, rest: Trajectory, folder: Path) -> di
         }
         for o in rest.operations
     ]  # fmt: skip
-    told: dict[str, object] = record.model_dump() | {
+    told: dict[str, object] = {
+        **record.model_dump(),
         "viewpoints": [v.model_dump() for v in record.viewpoints if v.id in served],
         "unreachable": [],
         "operations": operations,

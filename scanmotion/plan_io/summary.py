@@ -17,6 +17,7 @@ from scanmotion.core.summary import (
     HelixSummary,
     LeftOut,
     MarginsSummary,
+    PairSummary,
     PatchSummary,
     RoundSummary,
     Summary,
@@ -110,7 +111,7 @@ def _accuracy(plan: Plan) -> AccuracySummary:
     """Of the fused cloud, and of the surface where the options ask for it."""
     told = millimetres(plan.accuracy())
     if not plan.options.surface or plan.samples is None or plan.seen is None:
-        return AccuracySummary(**told)  # pyright: ignore
+        return AccuracySummary.model_validate(told)
     made = surface_record(surface_from(plan), plan.part, plan.samples.points[plan.seen])
     return AccuracySummary.model_validate({**told, "surface": made})
 
@@ -133,6 +134,7 @@ def _drake(word: LastWord) -> DrakeSummary:
     return DrakeSummary(
         checked=word.checked, way_m=round(word.way_m, 3), by_triangles=word.by_triangles,
         findings=len(word.findings),
+        not_held=[PairSummary(a=pair.a, b=pair.b, reason=pair.reason) for pair in word.not_held],
     )  # fmt: skip
 
 

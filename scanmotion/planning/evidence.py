@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scanmotion.core.scanner import Scanner
 from scanmotion.core.table import TableGeometry
 from scanmotion.core.view_costs import ViewCosts
+from scanmotion.geometry.typed_scipy import distances_to_nearest
 from scanmotion.sensing.closed_surface import ClosedModel
 from scanmotion.sensing.free_space import Space
 from scanmotion.sensing.fusion.fuse import Cloud
@@ -82,7 +82,7 @@ class Evidence:
         if not self.claimed or len(self.claimed[-1]) == 0:
             return 1.0
         gap = TargetOptions().gap * self.spacing
-        near = cKDTree(cloud.points).query(self.claimed[-1])[0] <= gap
+        near = distances_to_nearest(cloud.points, self.claimed[-1]) <= gap
         return max(float(near.mean()), _LEAST_KEPT)
 
 

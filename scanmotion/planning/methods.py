@@ -17,17 +17,18 @@ from scanmotion.cell.settings.cell import CellSettings
 from scanmotion.core.part import Part
 from scanmotion.core.tour import Tour
 from scanmotion.core.viewpoint import Viewpoint
-from scanmotion.motion.order.sequence import sequence
+from scanmotion.motion.order.sequence import by_distance, sequence
 from scanmotion.motion.order.stops import PathFree
 from scanmotion.motion.reach.find import Reach
 from scanmotion.motion.reach.table_still import with_table_still
 from scanmotion.planning.options import PlanOptions
 from scanmotion.sensing.fusion.fuse import Cloud
 from scanmotion.sensing.holes.find import HoleReport, holes_from_cloud
+from scanmotion.sensing.holes.paper_clusters import LargestAngle
 from scanmotion.views.cad_slicing import cad_slicing
-from scanmotion.views.hole_views import local_viewpoints
+from scanmotion.views.hole_views import local_viewpoints, paper_local_viewpoints
 from scanmotion.views.next_best_views import SelectOptions
-from scanmotion.views.stepped_rotary import StepPlan, stepped_rotary
+from scanmotion.views.stepped_rotary import StepPlan, paper_stepped_rotary, stepped_rotary
 from scanmotion.views.surface_partitioning import surface_partitioning
 
 __all__ = [
@@ -94,11 +95,18 @@ class Method:
     """Neighbouring turns of the global step may become helices."""
 
 
-def _turns(part: Part, settings: CellSettings, *, mode: str) -> StepPlan:
+def _turns(part: Part, settings: CellSettings) -> StepPlan:
     length, width, height = (float(side) for side in part.extent)
     return stepped_rotary(
+        length, width, height, settings.scanner_model(), pedestal=settings.pedestal.height_m
+    )  # fmt: skip
+
+
+def _paper_turns(part: Part, settings: CellSettings) -> StepPlan:
+    length, width, height = (float(side) for side in part.extent)
+    return paper_stepped_rotary(
         length, width, height, settings.scanner_model(),
-        standoff=settings.process.standoff_m, mode=mode, pedestal=settings.pedestal.height_m,
+        standoff=settings.process.standoff_m, pedestal=settings.pedestal.height_m,
     )  # fmt: skip
 
 
@@ -112,10 +120,17 @@ def _patches(part: Part, settings: CellSettings) -> StepPlan:
     return StepPlan(viewpoints=views, dropped=())
 
 
-def _over_holes(report: HoleReport, settings: CellSettings, *, mode: str) -> tuple[Viewpoint, ...]:
+def _over_holes(report: HoleReport, settings: CellSettings) -> tuple[Viewpoint, ...]:
     return local_viewpoints(
         report.holes, settings.scanner_model(),
-        standoff=settings.process.standoff_m, mode=mode, table_z=-settings.pedestal.height_m,
+        standoff=settings.process.standoff_m, table_z=-settings.pedestal.height_m,
+    )  # fmt: skip
+
+
+def _paper_over_holes(report: HoleReport, settings: CellSettings) -> tuple[Viewpoint, ...]:
+    return paper_local_viewpoints(
+        report.holes, settings.scanner_model(),
+        standoff=settings.process.standoff_m, table_z=-settings.pedestal.height_m,
     )  # fmt: skip
 
 
@@ -124,7 +139,7 @@ def _holes(cloud: Cloud) -> HoleReport:
 
 
 def _paper_holes(cloud: Cloud) -> HoleReport:
-    return holes_from_cloud(cloud.points, view_directions=cloud.view_directions, mode="paper")
+    return holes_from_cloud(cloud.points, view_directions=cloud.view_directions, by_angle=LargestAngle())
 
 
 def _table_at_zero(cell: Cell, clearance: Clearance, reaches: Sequence[Reach], at: np.ndarray) -> list[Reach]:
@@ -137,13 +152,13 @@ def _table_as_it_stands(
     return with_table_still(cell, clearance, reaches, float(at[6]))
 
 
-DEFAULT = Method(name="default", global_views=partial(_turns, mode="default"), holes=_holes)
+DEFAULT = Method(name="default", global_views=_turns, holes=_holes)
 """Four turns, then next best views on a closed model of the scan; order by seconds."""
 
 PAPER = Method(
-    name="paper", global_views=partial(_turns, mode="paper"), holes=_paper_holes,
-    views_over_holes=partial(_over_holes, mode="paper"), stations=_table_at_zero,
-    order=partial(sequence, mode="paper"), prunes=False, refines=False,
+    name="paper", global_views=_paper_turns, holes=_paper_holes,
+    views_over_holes=_paper_over_holes, stations=_table_at_zero,
+    order=partial(sequence, ordering=by_distance), prunes=False, refines=False,
 )  # fmt: skip
 """The published formulas (doi 10.3390/act14030139): its turns, its four cases, order by distance."""
 
@@ -166,7 +181,7 @@ def method_from(options: PlanOptions) -> Method:
         one_step = next(m for m in METHODS if m.name == options.strategy)
         method = replace(one_step, stations=method.stations, order=method.order)
     elif not literal and not options.occlusion_aware:
-        method = replace(method, views_over_holes=partial(_over_holes, mode="default"), prunes=False)
+        method = replace(method, views_over_holes=_over_holes, prunes=False)
     if options.turntable == "fallback" and not literal:
         method = replace(method, stations=_table_as_it_stands)
     return replace(

@@ -18,7 +18,7 @@ from scanmotion.core.part import Part
 from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.geometry.parts.part_objects import part_from
-from scanmotion.motion.order.sequence import sequence
+from scanmotion.motion.order.sequence import as_given, sequence
 from scanmotion.motion.reach.find import reachable_mask
 from scanmotion.planning.context import Context, Simulator, context_from
 from scanmotion.planning.options import PlanOptions
@@ -108,27 +108,30 @@ def _own_views(
     check_viewpoints(viewpoints)
     ctx = context_from(part, settings, options, progress)
     if order == "given":
-        ctx = replace(ctx, method=replace(ctx.method, order=partial(sequence, mode="given")))
+        ctx = replace(ctx, method=replace(ctx.method, order=partial(sequence, ordering=as_given)))
     # One step: an order that is given may mix what a method would plan in two.
     views = tuple(replace(v, step="global") for v in viewpoints)
     return plan_from(ctx, extend(ctx, begin(ctx), views, step="global", rng=ctx.rng("given_views")))
 
 
-def check_viewpoints(viewpoints: Sequence[Viewpoint]) -> None:
-    """Refuses what are not viewpoints, none, or two with one id.
+def check_viewpoints(viewpoints: Sequence[object]) -> tuple[Viewpoint, ...]:
+    """Viewpoints as a user gives them; refuses what are none, none at all, or two with one id.
 
     Raises:
         InputError: with the first that is wrong.
     """
+    found: list[Viewpoint] = []
     for item in viewpoints:
         if not isinstance(item, Viewpoint):
             raise InputError(f"viewpoints: a {type(item).__name__} is no Viewpoint")
-    ids = [v.id for v in viewpoints]
+        found.append(item)
+    ids = [v.id for v in found]
     if not ids:
         raise InputError("viewpoints: there is none")
     twice = next((v for v in ids if ids.count(v) > 1), None)
     if twice is not None:
         raise InputError(f"viewpoints: the id {twice!r} is there twice")
+    return tuple(found)
 
 
 def global_step(ctx: Context, state: PlanState) -> PlanState:

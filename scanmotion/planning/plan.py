@@ -14,7 +14,7 @@ from scanmotion.core.finding import Finding
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.summary import NOT_WORTH, Summary
 from scanmotion.core.trajectory import Trajectory, joined
-from scanmotion.core.viewpoint import Viewpoint
+from scanmotion.core.viewpoint import Viewpoints
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.segment import Segment
 from scanmotion.planning.steps.helices import Joining
@@ -57,7 +57,7 @@ class Plan:
     """Viewpoints of the method that were not planned: (id, reason)."""
     unscanned: tuple[Patch, ...] = ()
     """Patches of surface that stay unscanned, each with its reason."""
-    planning_s: dict[str, float] = field(default_factory=dict)
+    planning_s: dict[str, float] = field(default_factory=dict[str, float])
     scans: tuple[Scan, ...] = ()
     """What the twin measured, as it was fused; only where PlanOptions.keep_scans asks for it."""
     corrections: Corrections | None = None
@@ -71,7 +71,7 @@ class Plan:
     """The continuous motion, as the summary tells it; None for stops."""
     last_word: LastWord | None = None
     """What Drake says of the whole motion; None where nothing moves."""
-    meta: Mapping[str, str] = field(default_factory=dict)
+    meta: Mapping[str, str] = field(default_factory=dict[str, str])
     """What the user notes, as object number, operator, date; it stands in the summary and report."""
     summary: Summary | None = None
     """What the plan achieves and what the judge found; None until it is saved."""
@@ -96,9 +96,9 @@ class Plan:
         return f"<table>{rows}</table>"
 
     @property
-    def viewpoints(self) -> tuple[Viewpoint, ...]:
+    def viewpoints(self) -> Viewpoints:
         """Every viewpoint that was asked for, served or not, in order."""
-        return tuple(r.viewpoint for item in self.segments for r in item.reaches)
+        return Viewpoints(r.viewpoint for item in self.segments for r in item.reaches)
 
     @property
     def left_out(self) -> tuple[tuple[str, str], ...]:

@@ -173,7 +173,7 @@ def with_left_out(segment: Segment, earlier: Sequence[Segment], out: Mapping[str
 def costs(cell: Cell, tour: Tour, trajectory: Trajectory) -> list[float]:
     """What each stop of a segment costs: itself, and the way there and on less the way past it [s]."""
     model, after = move_model(cell), [o for o in trajectory.operations if o.kind != "transit"]
-    found = []
+    found: list[float] = []
     for n in range(len(tour.stops)):
         before = tour.stops[n - 1].q_out if n else tour.start_q
         start = after[n - 1].t_end if n else 0.0

@@ -154,7 +154,6 @@ def _viewpoints(settings: CellSettings, part: Part) -> dict[str, float | None]:
         width,
         height,
         settings.scanner_model(),
-        standoff=settings.process.standoff_m,
         pedestal=settings.pedestal.height_m,
     )
     return {"viewpoints": float(len(step.viewpoints)), "unreachable": float(len(step.dropped))}

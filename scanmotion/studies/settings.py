@@ -38,7 +38,7 @@ class PartSpec(_Strict):
     file: str | None = None
     box_mm: tuple[float, float, float] | None = None
     units: str = "mm"
-    up: str = "+z"
+    up: str = ""
     name: str = ""
 
     @model_validator(mode="before")

@@ -12,14 +12,17 @@ _HOMES = {
     "look_at": "core.viewpoint",
     "StepPlan": "views.stepped_rotary",
     "stepped_rotary": "views.stepped_rotary",
+    "paper_stepped_rotary": "views.stepped_rotary",
     "boundary_points": "sensing.holes.boundary",
     "oriented_normals": "sensing.holes.boundary",
     "Hole": "sensing.holes.find",
     "HoleReport": "sensing.holes.find",
     "holes_from_cloud": "sensing.holes.find",
+    "LargestAngle": "sensing.holes.paper_clusters",
     "holes_from_mesh": "sensing.holes.find",
     "hole_report_to_json": "sensing.holes.find",
     "local_viewpoints": "views.hole_views",
+    "paper_local_viewpoints": "views.hole_views",
     "LocalStep": "views.next_best_views",
     "SelectOptions": "views.next_best_views",
     "local_step": "views.next_best_views",
@@ -59,6 +62,7 @@ if TYPE_CHECKING:
     from scanmotion.sensing.holes.find import hole_report_to_json as hole_report_to_json
     from scanmotion.sensing.holes.find import holes_from_cloud as holes_from_cloud
     from scanmotion.sensing.holes.find import holes_from_mesh as holes_from_mesh
+    from scanmotion.sensing.holes.paper_clusters import LargestAngle as LargestAngle
     from scanmotion.sensing.visibility import Scene as Scene
     from scanmotion.sensing.visibility import revolution_poses as revolution_poses
     from scanmotion.sensing.visibility import scene_from as scene_from
@@ -68,10 +72,12 @@ if TYPE_CHECKING:
     from scanmotion.sensing.visibility import visible as visible
     from scanmotion.views.cad_slicing import cad_slicing as cad_slicing
     from scanmotion.views.hole_views import local_viewpoints as local_viewpoints
+    from scanmotion.views.hole_views import paper_local_viewpoints as paper_local_viewpoints
     from scanmotion.views.next_best_views import LocalStep as LocalStep
     from scanmotion.views.next_best_views import SelectOptions as SelectOptions
     from scanmotion.views.next_best_views import local_step as local_step
     from scanmotion.views.stepped_rotary import StepPlan as StepPlan
+    from scanmotion.views.stepped_rotary import paper_stepped_rotary as paper_stepped_rotary
     from scanmotion.views.stepped_rotary import stepped_rotary as stepped_rotary
     from scanmotion.views.surface_partitioning import surface_partitioning as surface_partitioning
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.support.deprecation import deprecated
 from scanmotion.core.viewpoint import Slack, Viewpoint
 from scanmotion.sensing.holes.find import Hole
 
@@ -65,7 +66,7 @@ def local_viewpoints(
     *,
     standoff: float | None = None,
     overlap: float = 0.10,
-    mode: str = "default",
+    mode: str | None = None,
     table_z: float = 0.0,
 ) -> tuple[Viewpoint, ...]:
     """Viewpoints that look along -Z' at each hole's largest middle plane; those of one hole form a sweep.
@@ -74,34 +75,62 @@ def local_viewpoints(
         holes: with their boxes, Z' outward.
         scanner: field of view.
         standoff: d, scanner to the middle plane [m]; None for the middle of the range.
-        overlap: of neighbouring fields, in the default mode.
-        mode: "paper" takes the four cases literally and warns where they leave a gap; "default" the grid.
+        overlap: of neighbouring fields.
+        mode: deprecated: "paper" stands for `paper_local_viewpoints`.
         table_z: viewpoints below the table's top are left out.
 
     Raises:
         InputError: an unknown mode, or a standoff outside the scanner's range.
     """
-    if mode not in ("default", "paper"):
-        raise InputError(f"unknown mode {mode!r}; known: default, paper")
-    near, far = scanner.range
-    standoff = scanner.middle if standoff is None else standoff
-    if not near <= standoff <= far:
-        raise InputError(f"standoff {standoff:g} m is outside the scanner's range {near:g} .. {far:g} m")
-    l, w = (float(side) for side in scanner.field(standoff))  # noqa: E741
+    if mode is not None:
+        if mode not in ("default", "paper"):
+            raise InputError(f"unknown mode {mode!r}; known: default, paper")
+        deprecated("local_viewpoints: mode", "paper_local_viewpoints")
+    if mode == "paper":
+        return paper_local_viewpoints(holes, scanner, standoff=standoff, table_z=table_z)
+    d, l, w = _field(scanner, standoff)  # noqa: E741
+    views: list[Viewpoint] = []
+    for n, hole in enumerate(holes, 1):
+        positions = grid_positions(float(hole.extent[0]), float(hole.extent[1]), l, w, overlap)
+        views += _over(hole, n, positions, d, table_z)
+    return tuple(views)
+
+
+def paper_local_viewpoints(
+    holes: Sequence[Hole], scanner: Scanner, *, standoff: float | None = None, table_z: float = 0.0
+) -> tuple[Viewpoint, ...]:
+    """The paper's four cases over each hole, literally; warns where they leave a gap.
+
+    Args:
+        holes: with their boxes, Z' outward.
+        scanner: field of view.
+        standoff: d, scanner to the middle plane [m]; None for the middle of the range.
+        table_z: viewpoints below the table's top are left out.
+
+    Raises:
+        InputError: a standoff outside the scanner's range.
+    """
+    d, l, w = _field(scanner, standoff)  # noqa: E741
     views: list[Viewpoint] = []
     for n, hole in enumerate(holes, 1):
         a, b = float(hole.extent[0]), float(hole.extent[1])
-        if mode == "paper":
-            positions = paper_positions(a, b, l, w)
-            if a > 2 * l or (a <= l and b > 2 * w):
-                log.warning(
-                    "hole %d: %.0f x %.0f mm is more than the paper's case covers with %.0f x %.0f mm",
-                    n, a * 1e3, b * 1e3, l * 1e3, w * 1e3,
-                )  # fmt: skip
-        else:
-            positions = grid_positions(a, b, l, w, overlap)
-        views += _over(hole, n, positions, standoff, table_z)
+        if a > 2 * l or (a <= l and b > 2 * w):
+            log.warning(
+                "hole %d: %.0f x %.0f mm is more than the paper's case covers with %.0f x %.0f mm",
+                n, a * 1e3, b * 1e3, l * 1e3, w * 1e3,
+            )  # fmt: skip
+        views += _over(hole, n, paper_positions(a, b, l, w), d, table_z)
     return tuple(views)
+
+
+def _field(scanner: Scanner, standoff: float | None) -> tuple[float, float, float]:
+    """The standoff, and the field's sides there [m]."""
+    near, far = scanner.range
+    d = scanner.middle if standoff is None else standoff
+    if not near <= d <= far:
+        raise InputError(f"standoff {d:g} m is outside the scanner's range {near:g} .. {far:g} m")
+    l, w = (float(side) for side in scanner.field(d))  # noqa: E741
+    return d, l, w
 
 
 def _over(hole: Hole, n: int, positions: np.ndarray, standoff: float, table_z: float) -> list[Viewpoint]:

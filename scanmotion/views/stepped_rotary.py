@@ -9,6 +9,7 @@ import numpy as np
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.support.deprecation import deprecated
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
 from scanmotion.sensing.visibility import in_view, revolution_poses
 
@@ -23,7 +24,7 @@ _GAP, _GAP_SHARE = 0.03, 0.05
 _ROW = 1.733
 """Greatest height of a row of turns, in long sides of the field at the middle of the range."""
 _LEAST_HEIGHT = 0.02
-"""Least height of the optical centre above the table in the default mode [m]."""
+"""Least height of the optical centre above the table [m]."""
 _ENOUGH = 0.985
 """Turns are added until they see this share of the box's sides and top."""
 _WORTH = 0.005
@@ -59,37 +60,70 @@ def stepped_rotary(
     scanner: Scanner,
     *,
     standoff: float | None = None,
-    mode: str = "default",
+    mode: str | None = None,
     pedestal: float = 0.0,
 ) -> StepPlan:
     """Viewpoints that see a box of L x W x H [m] on the table's axis while the table turns.
 
-    Mode "paper" is section 2 literally: VP0 from 30 deg above the top, k = ceil(H / l) steps down, VPn
-    from 30 deg below. The default keeps the idea and chooses inclination, distance and lateral offset by what
-    they see and by the scanner's way between them: four turns, found by exchange over 810 turns on eight
-    sculptures and reliefs and six generated figures; two of them look up from beside the table, three past
-    the axis, and taller parts get more rows. Where these leave part of the box's own sides and top unseen, as
-    on wide boxes, more turns are added by what they see of it.
+    They keep the idea of the paper (`paper_stepped_rotary`) and choose inclination, distance and lateral
+    offset by what they see and by the scanner's way between them. The four turns were found by exchange
+    over 810 turns on eight sculptures and reliefs and six generated figures. Two of them look up from
+    beside the table, three past the axis. Taller parts get more rows. Where these leave part of the box's
+    own sides and top unseen, as on wide boxes, more turns are added by what they see of it.
 
     Args:
         length: L along x [m].
         width: W along y [m].
         height: H along z [m].
         scanner: field and range.
-        standoff: d of the paper, scanner to the box's side [m]; None for the middle of the range.
-        mode: "default" or "paper".
+        standoff: deprecated: only `paper_stepped_rotary` takes it.
+        mode: deprecated: "paper" stands for `paper_stepped_rotary`.
         pedestal: height of the box's base above the table [m].
 
     Raises:
         InputError: sides that are not positive, or an unknown mode.
     """
+    if mode is not None:
+        if mode not in ("default", "paper"):
+            raise InputError(f"unknown mode {mode!r}; known: default, paper")
+        deprecated("stepped_rotary: mode", "paper_stepped_rotary")
+    if mode == "paper":
+        return paper_stepped_rotary(length, width, height, scanner, standoff=standoff, pedestal=pedestal)
+    _check_box(length, width, height)
+    return _default(length, width, height, scanner, pedestal)
+
+
+def paper_stepped_rotary(
+    length: float,
+    width: float,
+    height: float,
+    scanner: Scanner,
+    *,
+    standoff: float | None = None,
+    pedestal: float = 0.0,
+) -> StepPlan:
+    """Section 2 of the paper literally.
+
+    VP0 looks from 30 deg above the top; then come k = ceil(H / l) steps down; VPn looks from 30 deg below.
+
+    Args:
+        length: L along x [m].
+        width: W along y [m].
+        height: H along z [m].
+        scanner: field and range.
+        standoff: d, scanner to the box's side [m]; None for the middle of the range.
+        pedestal: height of the box's base above the table [m].
+
+    Raises:
+        InputError: sides that are not positive.
+    """
+    _check_box(length, width, height)
+    return _paper(length, height, scanner, scanner.middle if standoff is None else standoff, pedestal)
+
+
+def _check_box(length: float, width: float, height: float) -> None:
     if not (np.isfinite([length, width, height]).all() and min(length, width, height) > 0):
         raise InputError(f"box {length:g} x {width:g} x {height:g} m: sides must be positive numbers")
-    if mode == "paper":
-        return _paper(length, height, scanner, scanner.middle if standoff is None else standoff, pedestal)
-    if mode != "default":
-        raise InputError(f"unknown mode {mode!r}; known: default, paper")
-    return _default(length, width, height, scanner, pedestal)
 
 
 def _view(name: str, p: np.ndarray, direction: np.ndarray, standoff: float, note: str) -> Viewpoint:

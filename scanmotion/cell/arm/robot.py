@@ -14,15 +14,15 @@ from scanmotion.geometry.se3 import rotations as rotations
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Body:
-    """A solid fixed to a link: a box, a cylinder about its z axis, or a convex hull."""
+    """A solid fixed to a link: a box, a cylinder about its z axis, a sphere, or a convex hull."""
 
     name: str
     link: int
     """0 for the base, 1..6 for the links, 7 for the tool (moves with link 6), 8 the table, 9 the world."""
     shape: str
-    """"box", "cylinder" or "hull"."""
+    """"box", "cylinder", "sphere" or "hull"."""
     size: tuple[float, ...]
-    """Full sides (x, y, z), those of its bounding box for a hull; or (radius, length) [m]."""
+    """Full sides (x, y, z), those of its bounding box for a hull; (radius, length); or (radius,) [m]."""
     X_LG: np.ndarray
     """Pose of the solid in the link's frame, shape (4, 4)."""
     carrier: str = ""
@@ -51,6 +51,8 @@ class Robot:
     velocity: np.ndarray
     """Shape (6,) [rad/s]."""
     bodies: tuple[Body, ...]
+    joined: frozenset[frozenset[str]]
+    """Links of the URDF that one of the six joints joins directly."""
     joints: tuple[str, ...]
     """The six joints, as the plant calls them: a name of our own gets another."""
     flange: str

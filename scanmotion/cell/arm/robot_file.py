@@ -87,8 +87,9 @@ def _robot(
     bodies = robot_bodies(plant, inspector, urdf, places, at_joints, path.name)
     return Robot(
         name=urdf.name, urdf=path, X_PJ=X_PJ, axes=axes, X_6F=X_6F, lower=low, upper=high, velocity=velocity,
-        bodies=bodies, joints=named, flange=urdf.names.get(flange, flange), text=urdf.text,
-        pieces=urdf.pieces, record=urdf.record, meshes=urdf.meshes, notes=(*urdf.notes, *heard),
+        bodies=bodies, joined=_joined(chain), joints=named, flange=urdf.names.get(flange, flange),
+        text=urdf.text, pieces=urdf.pieces, record=urdf.record, meshes=urdf.meshes,
+        notes=(*urdf.notes, *heard),
     )  # fmt: skip
 
 
@@ -158,7 +159,7 @@ def _listening() -> Iterator[list[str]]:
     """Collects what Drake warns of, instead of letting it print."""
     heard: list[str] = []
     handler = logging.Handler(logging.WARNING)
-    handler.emit = lambda record: heard.append(record.getMessage())  # type: ignore[method-assign]
+    handler.emit = lambda record: heard.append(record.getMessage())
     logger = logging.getLogger("drake")
     before, passes = logger.level, logger.propagate
     logger.addHandler(handler)
@@ -268,6 +269,12 @@ def _kinematics(
         X = X @ joint.frame_on_child().GetFixedPoseInBodyFrame().inverse().GetAsMatrix4()
         places[joint.child_body().index()] = (len(axes), X)
     return np.array(X_PJ), np.array(axes), X, places, at_joints
+
+
+def _joined(chain: list[Any]) -> frozenset[frozenset[str]]:
+    """Links that a moving joint of the chain joins."""
+    moving = [joint for joint in chain if joint.type_name() != "weld"]
+    return frozenset(frozenset((str(j.parent_body().name()), str(j.child_body().name()))) for j in moving)
 
 
 def _with_branches(

@@ -54,7 +54,7 @@ def _body(shape: Any, label: str, link: int, X_LG: np.ndarray, where: str) -> Bo
     elif isinstance(shape, Cylinder):
         size, kind = (float(shape.radius()), float(shape.length())), "cylinder"
     elif isinstance(shape, Sphere):
-        size, kind = (2 * float(shape.radius()),) * 3, "box"
+        size, kind = (float(shape.radius()),), "sphere"
     elif isinstance(shape, Convex | Mesh):
         return hull_body(_corners(shape), label, link, X_LG, where)
     else:

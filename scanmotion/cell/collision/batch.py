@@ -39,13 +39,16 @@ def sure_points(cell: Cell, spheres: tuple) -> np.ndarray:
 def lattice(body: Body) -> np.ndarray:
     """Points of a solid in its link, shape (n, 3) [m].
 
-    Corners, middles of the sides and the middle of a box; a cylinder's axis; a hull's corners.
+    Corners, middles of the sides and the middle of a box; a cylinder's axis; a sphere's middle; a hull's
+    corners.
     """
     if body.points is not None:
         points = body.points
     elif body.shape == "box":
         signs = np.array(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij")).reshape(3, -1).T
         points = signs[np.abs(signs).sum(axis=1) != 2] * np.array(body.size) / 2
+    elif body.shape == "sphere":
+        points = np.zeros((1, 3))
     else:
         points = np.array([[0, 0, -0.5], [0, 0, 0.0], [0, 0, 0.5]]) * body.size[1]
     return points @ body.X_LG[:3, :3].T + body.X_LG[:3, 3]
@@ -140,7 +143,7 @@ def _blocked(q, sure, pad, chain, spheres, boxes, solid, world, grid):
     link_frames(q, chain, X)
     cos, sin = np.cos(q[6]), np.sin(q[6])
     points, starts, bounds, groups, floored = spheres
-    box_link, box_X, box_half, pairs, self_clearance = boxes
+    box_link, box_X, box_half, pairs, self_clearance, _, _ = boxes
     clearance = world[2]
     T = np.empty((len(box_link), 12))
     middle = np.empty((len(box_link), 4))

@@ -42,7 +42,10 @@ class Clearance:
         self._arrays = (f.chain, f.spheres, f.boxes, f.world, f.grid)
 
     def margins(self, q: np.ndarray, *, enough: float = 0.5) -> np.ndarray:
-        """Lower bounds of the distance beyond clearances and pad, (n,) [m]; only signs where negative."""
+        """Lower bounds of the distance beyond clearances and pad, (n,) [m]; only signs where negative.
+
+        Neighbours but one, which are always near, count by the way to where they are too near.
+        """
         return margins(_rows(q), *self._arrays, enough)
 
     def fast_free(self, q: np.ndarray) -> np.ndarray:

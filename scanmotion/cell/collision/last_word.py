@@ -2,7 +2,8 @@
 
 Guarantee: where nothing is found, arm and tool keep every clearance less `TOLERANCE_M`, and touch nothing,
 at each written sample and at each instant between two of them, with the joints moving evenly in between. It
-holds for the solids as Drake's parser reads them and for the true triangles of the part.
+holds for the solids as Drake's parser reads them and for the true triangles of the part, for every pair but
+those in `LastWord.not_held`; which those are is worked out by Drake, not taken from the planner.
 
 How: the motion is cut where something can have moved by `COARSE_M` relative to something else, in metres, not
 in radians. There Drake's SceneGraphCollisionChecker asks for the clearance and half a step besides, so that
@@ -22,6 +23,7 @@ from pydrake.common import Parallelism
 from pydrake.geometry import Box, Cylinder, GeometryId, SceneGraphInspector, Sphere
 from pydrake.multibody.tree import BodyIndex
 
+from scanmotion.cell.collision.drake_pairs import NotHeld, not_held
 from scanmotion.cell.drake_scene import DrakeCell
 from scanmotion.cell.kinematics import flange_poses, link_poses, object_poses
 from scanmotion.cell.model import Cell
@@ -52,6 +54,8 @@ class LastWord:
     """Length of the way of the fastest point of robot and part [m]."""
     by_triangles: int
     """How many of the configurations the part's hull was too near to, so that its triangles decided."""
+    not_held: tuple[NotHeld, ...] = ()
+    """Every pair that Drake did not hold apart, with the reason."""
 
 
 def last_word(cell: Cell, trajectory: Trajectory) -> LastWord:
@@ -73,7 +77,9 @@ class DrakeJudge:
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
-        self._drake = DrakeCell(cell, hull=True)
+        self._drake = DrakeCell(cell, hull=True, own_pairs=True)
+        self.not_held = not_held(cell, self._drake)
+        self._drake.leave_out([ids for pair in self.not_held for ids in pair.ids])
         process = cell.settings.process
         self._asked = max(process.clearance_m - TOLERANCE_M, FINE_M / 2)
         self._asked_self = max(process.self_clearance_m - TOLERANCE_M, FINE_M / 2)
@@ -106,8 +112,9 @@ class DrakeJudge:
             _finding(*item) for item in sorted(worst.items(), key=lambda item: (item[1][0], item[0]))
         )
         return LastWord(
-            findings=findings, checked=checked, way_m=float(way[-1]), by_triangles=self._by_triangles
-        )
+            findings=findings, checked=checked, way_m=float(way[-1]), by_triangles=self._by_triangles,
+            not_held=self.not_held,
+        )  # fmt: skip
 
     def _free(self, q: np.ndarray, to_world: float, to_self: float) -> np.ndarray:
         """Whether Drake finds these clearances kept in each row of q (n, 7), the part as its hull."""
@@ -138,9 +145,11 @@ class DrakeJudge:
 
     def _triangle_distance(self, q: np.ndarray, body: int, *, enough: float) -> float:
         """Distance of one of the robot's bodies to the part's true triangles [m]; -1e-6 where they meet."""
-        plant, context = self._drake.plant, self._drake.context
+        # The stubs of pydrake know no arrays.
+        plant: Any = self._drake.plant
+        context = self._drake.context
         plant.SetPositions(context, self._drake.positions(q[None])[0])
-        X_WL = plant.EvalBodyPoseInWorld(context, plant.get_body(BodyIndex(body))).GetAsMatrix4()
+        X_WL: np.ndarray = plant.EvalBodyPoseInWorld(context, plant.get_body(BodyIndex(body))).GetAsMatrix4()
         X_WO = object_poses(self.cell, q[None])[0]
         self._part.setTransform(fcl.Transform(X_WO[:3, :3], X_WO[:3, 3]))
         least = np.inf
@@ -151,7 +160,7 @@ class DrakeJudge:
                 return -1e-6
             least = min(least, fcl.distance(self._part, shape, fcl.DistanceRequest(), fcl.DistanceResult()))
         assert self.cell.part is not None
-        if least >= enough and self.cell.part.closed and self._inside(X_WL, X_WO, body):  # pyright: ignore
+        if least >= enough and self.cell.part.closed and self._inside(X_WL, X_WO, body):
             return -1e-6
         return float(least)
 
@@ -204,8 +213,10 @@ class DrakeJudge:
     def _radii(self) -> dict[int, float]:
         """Greatest distance of a solid's point from the frame of its link, by link 1..6 [m]."""
         drake, cell = self._drake, self.cell
-        plant, context = drake.plant, drake.context
-        plant.SetPositions(context, np.zeros(plant.num_positions()))  # pyright: ignore
+        plant: Any = drake.plant
+        inspector: Any = drake.inspector
+        context = drake.context
+        plant.SetPositions(context, np.zeros(plant.num_positions()))
         frames = link_poses(cell, np.zeros((1, 7)))[0]
         joints = [plant.GetJointByName(n) for n in cell.settings.robot.joints]
         moved = [set(plant.GetBodiesKinematicallyAffectedBy([j.index()])) for j in joints]
@@ -216,8 +227,8 @@ class DrakeJudge:
                 continue
             X_WB = plant.EvalBodyPoseInWorld(context, plant.get_body(index)).GetAsMatrix4()
             for i in plant.GetCollisionGeometriesForBody(plant.get_body(index)):
-                p = (X_WB @ drake.inspector.GetPoseInFrame(i).GetAsMatrix4())[:3, 3]  # pyright: ignore
-                far = float(np.linalg.norm(p - frames[link][:3, 3])) + _radius(drake.inspector.GetShape(i))
+                p = (X_WB @ inspector.GetPoseInFrame(i).GetAsMatrix4())[:3, 3]
+                far = float(np.linalg.norm(p - frames[link][:3, 3])) + _radius(inspector.GetShape(i))
                 radii[link] = max(radii.get(link, 0.0), far)
         return radii
 
@@ -275,7 +286,8 @@ def _hull(shape: Any) -> tuple[np.ndarray, np.ndarray]:
 def _for_fcl(inspector: SceneGraphInspector, geometry: GeometryId) -> tuple[Any, np.ndarray]:
     """A solid for FCL, and its pose in its body, shape (4, 4)."""
     shape: Any = inspector.GetShape(geometry)
-    X_BG = inspector.GetPoseInFrame(geometry).GetAsMatrix4()
+    pose: Any = inspector.GetPoseInFrame(geometry)
+    X_BG: np.ndarray = pose.GetAsMatrix4()
     if isinstance(shape, Box):
         solid = fcl.Box(*shape.size())
     elif isinstance(shape, Cylinder):
@@ -288,7 +300,7 @@ def _for_fcl(inspector: SceneGraphInspector, geometry: GeometryId) -> tuple[Any,
         solid.beginModel(len(points), len(triangles))
         solid.addSubModel(points, triangles)
         solid.endModel()
-    return fcl.CollisionObject(solid, fcl.Transform()), X_BG  # pyright: ignore
+    return fcl.CollisionObject(solid, fcl.Transform()), X_BG
 
 
 def _winding(part: Any, p: np.ndarray) -> float:

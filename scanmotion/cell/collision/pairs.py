@@ -1,26 +1,53 @@
-"""Which solids of the robot the planner does not hold against one another, by solid.
+"""Which solids of the robot the planner does not hold against one another, solid by solid, with the reason.
 
-Guarantees: a solid that hangs on a link by a side branch is left out of no pair but with what is fixed to
-it, and with what it meets in every position of the joints between the two.
+Guarantee: left out are only solids that are fixed to one another, those of two links that a joint joins, and
+those that come nearer than the clearance in nearly all positions of the joints between them, inside the
+maker's limits: no motion could mend that. Everything else is kept apart.
 """
 
-from itertools import product
+from dataclasses import dataclass
+from itertools import combinations
+from weakref import WeakKeyDictionary
 
 import fcl
 import numpy as np
 
 from scanmotion.cell.arm.robot import Body, Robot, arm_poses
-from scanmotion.cell.collision.shapes import fcl_object
+from scanmotion.cell.collision.shapes import box_of, fcl_object
 from scanmotion.cell.model import TOOL, Cell
+from scanmotion.core.support.streams import fixed_stream
 
-IGNORED_PAIRS = frozenset({(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (0, 2), (4, 6), (6, 7), (5, 7)})
-"""Links that touch by construction, or whose boxes meet where the robot's bodies do not (robots.md 1.5).
+NEARLY_ALWAYS = 0.95
+"""Share of positions from which on a pair counts as meeting by construction.
 
-The tool turns about A6 before link 5 only, at a distance that its fixture sets. This is for the links that
-the joints themselves join, not for what hangs on them.
+The default of MoveIt's Setup Assistant for pairs that are "always" in collision.
 """
-_TRIES = {1: 24, 2: 9}
-"""Angles of a joint that are tried, by the number of joints between two links."""
+_TRIES = {1: 24, 2: 14}
+"""Angles of each joint that are tried, by the number of joints between two links; more keep them apart."""
+_FIXED, _JOINED = "fixed to one another", "joined by a joint"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Exempt:
+    """Two of the robot's solids that are not held against one another."""
+
+    a: Body
+    b: Body
+    reason: str
+    meets: bool
+    """Whether they are left out for where they are, not for how they are joined."""
+
+
+def exempt_pairs(cell: Cell) -> tuple[Exempt, ...]:
+    """The pairs that are left out, each with its reason, in the order of `cell.bodies`."""
+    bodies = [b for b in cell.bodies if b.link <= TOOL]
+    out = []
+    for a, b in combinations(bodies, 2):
+        low, high = sorted((a, b), key=lambda body: body.link)
+        reason = _reason(cell, low, high)
+        if reason:
+            out.append(Exempt(a=a, b=b, reason=reason, meets=reason not in (_FIXED, _JOINED)))
+    return tuple(out)
 
 
 def ignored(cell: Cell) -> np.ndarray:
@@ -30,24 +57,11 @@ def ignored(cell: Cell) -> np.ndarray:
         shape (n, n), for those of `cell.bodies` with link <= TOOL, in their order.
     """
     bodies = [b for b in cell.bodies if b.link <= TOOL]
-    out = np.zeros((len(bodies), len(bodies)), bool)
-    meet: dict[tuple[int, str, int, str], bool] = {}
-    for i, a in enumerate(bodies):
-        for j, b in enumerate(bodies[:i]):
-            first, second = sorted((a, b), key=lambda body: body.link)
-            between = min(second.link, 6) - min(first.link, 6)
-            if between == 0:
-                skip = True
-            elif not (a.side or b.side):
-                skip = (first.link, second.link) in IGNORED_PAIRS
-            elif between in _TRIES:
-                key = first.link, first.carrier, second.link, second.carrier
-                if key not in meet:
-                    meet[key] = _always_meet(cell.robot, *(_of(cell, body) for body in (first, second)))
-                skip = meet[key]
-            else:
-                skip = False
-            out[i, j] = out[j, i] = skip
+    of = {id(b): n for n, b in enumerate(bodies)}
+    out = np.eye(len(bodies), dtype=bool)
+    for pair in exempt_pairs(cell):
+        i, j = of[id(pair.a)], of[id(pair.b)]
+        out[i, j] = out[j, i] = True
     return out
 
 
@@ -56,38 +70,86 @@ def on_floor(cell: Cell, body: Body) -> bool:
     return body.link > 1 or body.side
 
 
-def _of(cell: Cell, body: Body) -> list[Body]:
-    """The solids that the same link of the URDF carries."""
-    return [b for b in cell.bodies if (b.link, b.carrier) == (body.link, body.carrier)]
+def _reason(cell: Cell, low: Body, high: Body) -> str:
+    """Why two solids are left out; "" where they are held against one another."""
+    between = min(high.link, 6) - min(low.link, 6)
+    if between == 0:
+        return _FIXED
+    if frozenset((low.carrier, high.carrier)) in cell.robot.joined:
+        return _JOINED
+    if between not in _TRIES:
+        return ""
+    share = _share_near(cell.robot, low, high, cell.settings.process.self_clearance_m)
+    if share < NEARLY_ALWAYS:
+        return ""
+    return f"they meet in {share:.0%} of the positions of the joints between them"
 
 
-def _always_meet(robot: Robot, low: list[Body], high: list[Body]) -> bool:
-    """Whether solids of two links touch in every position that is tried of the joints between them."""
-    i, j = low[0].link, min(high[0].link, 6)
-    steps = [np.linspace(robot.lower[k], robot.upper[k], _TRIES[j - i]) for k in range(i, j)]
-    q = np.zeros((_TRIES[j - i] ** (j - i), 6))
-    q[:, i:j] = list(product(*steps))
+_KNOWN: WeakKeyDictionary[Robot, dict[tuple, float]] = WeakKeyDictionary()
+"""Shares that were measured already: an arm stands in many layouts."""
+
+
+def solid_key(body: Body) -> tuple:
+    """What a solid is and where, for finding it again."""
+    points = b"" if body.points is None else body.points.tobytes()
+    return body.link, body.shape, body.size, body.X_LG.tobytes(), points
+
+
+def _share_near(robot: Robot, low: Body, high: Body, clearance: float) -> float:
+    """Share of positions in which two solids are nearer than a clearance.
+
+    It is exact from `NEARLY_ALWAYS` on; below, counting stops when that cannot be reached any more.
+    """
+    known = _KNOWN.setdefault(robot, {})
+    key = solid_key(low), solid_key(high), clearance
+    if key not in known:
+        known[key] = _counted(robot, low, high, clearance)
+    return known[key]
+
+
+def _counted(robot: Robot, low: Body, high: Body, clearance: float) -> float:
+    X = positions_between(robot, low, high, _TRIES[min(high.link, 6) - low.link])
+    X = X[fixed_stream("pairs").permutation(len(X))]
+    first, second = fcl_object(low, low.X_LG), fcl_object(high, np.eye(4))
+    apart = np.linalg.norm(X[:, :3, 3] - low.X_LG[:3, 3], axis=1)
+    far = apart > np.linalg.norm(box_of(low)) + np.linalg.norm(box_of(high)) + clearance
+    misses, most = 0, (1 - NEARLY_ALWAYS) * len(X)
+    for n in range(len(X)):
+        misses += bool(far[n]) or not near(first, second, X[n], clearance)
+        if misses > most:
+            return 0.0
+    return 1.0 - misses / len(X)
+
+
+def positions_between(robot: Robot, low: Body, high: Body, tries: int) -> np.ndarray:
+    """Poses of a solid in the link of another, over the joints between them, shape (n, 4, 4).
+
+    Args:
+        robot: the arm.
+        low: the solid nearer to the base.
+        high: the other one, one or two joints on.
+        tries: angles of each joint, at the middles of equal parts of its range.
+    """
+    i, j = low.link, min(high.link, 6)
+    share = (np.arange(tries) + 0.5) / tries
+    angles = [robot.lower[k] + share * (robot.upper[k] - robot.lower[k]) for k in range(i, j)]
+    q = np.zeros((tries ** (j - i), 6))
+    q[:, i:j] = np.stack(np.meshgrid(*angles, indexing="ij"), axis=-1).reshape(-1, j - i)
+    return poses_between(robot, low, high, q)
+
+
+def poses_between(robot: Robot, low: Body, high: Body, q: np.ndarray) -> np.ndarray:
+    """Poses of a solid in the link of another at configurations (n, 6), shape (n, 4, 4)."""
     poses = arm_poses(robot, q)
-    X_ij = np.linalg.inv(poses[:, i]) @ poses[:, j]
-    if high[0].link == TOOL:
-        X_ij = X_ij @ robot.X_6F
-    return all(_meet(low, high, X) for X in X_ij)
+    X = np.linalg.inv(poses[:, low.link]) @ poses[:, min(high.link, 6)]
+    if high.link == TOOL:
+        X = X @ robot.X_6F
+    return X @ high.X_LG
 
 
-def _meet(low: list[Body], high: list[Body], X: np.ndarray) -> bool:
-    first, second = [fcl_object(b, b.X_LG) for b in low], [fcl_object(b, X @ b.X_LG) for b in high]
-    return any(
-        fcl.collide(a, b, fcl.CollisionRequest(), fcl.CollisionResult()) for a in first for b in second
-    )
-
-
-def ignored_carriers(cell: Cell) -> list[tuple[str, str]]:
-    """The same by links of the URDF (empty for the tool), for an engine that judges by bodies."""
-    bodies, skip = [b for b in cell.bodies if b.link <= TOOL], ignored(cell)
-    kept = {
-        frozenset((a.carrier, b.carrier))
-        for (i, a), (j, b) in product(enumerate(bodies), repeat=2)
-        if i != j and not skip[i, j]
-    }
-    names = sorted({b.carrier for b in bodies})
-    return [(a, b) for n, a in enumerate(names) for b in names[:n] if frozenset((a, b)) not in kept]
+def near(first: fcl.CollisionObject, second: fcl.CollisionObject, X: np.ndarray, clearance: float) -> bool:
+    """Whether the second object, put at X, is nearer to the first than a clearance."""
+    second.setTransform(fcl.Transform(np.ascontiguousarray(X[:3, :3]), np.ascontiguousarray(X[:3, 3])))
+    if fcl.collide(first, second, fcl.CollisionRequest(), fcl.CollisionResult()):
+        return True
+    return bool(fcl.distance(first, second, fcl.DistanceRequest(), fcl.DistanceResult()) < clearance)

@@ -13,6 +13,8 @@ def box_of(body: Body) -> np.ndarray:
     """Half sides of the box that holds a body, shape (3,) [m]."""
     if body.shape == "cylinder":
         return np.array([body.size[0], body.size[0], body.size[1] / 2])
+    if body.shape == "sphere":
+        return np.full(3, body.size[0])
     return np.array(body.size) / 2
 
 
@@ -29,6 +31,8 @@ def fcl_shape(body: Body) -> fcl.CollisionGeometry:
         return fcl.Box(*body.size)
     if body.shape == "cylinder":
         return fcl.Cylinder(*body.size[:2])
+    if body.shape == "sphere":
+        return fcl.Sphere(body.size[0])
     hull = hull_of(body)
     faces = np.concatenate([np.full((len(hull.faces), 1), 3), hull.faces], axis=1)
     return fcl.Convex(hull.points, len(hull.faces), faces.ravel())
@@ -58,6 +62,8 @@ def inside_shape(body: Body, p: np.ndarray) -> np.ndarray:
     """Whether points (n, 3) of the body's own frame lie in it, shape (n,)."""
     if body.shape == "box":
         return np.all(np.abs(p) <= np.array(body.size) / 2, axis=1)
+    if body.shape == "sphere":
+        return np.linalg.norm(p, axis=1) <= body.size[0]
     if body.shape == "hull":
         return np.asarray(beyond(body, p) <= 0.0)
     radius, length = body.size[:2]

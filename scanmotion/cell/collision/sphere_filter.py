@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from scanmotion.cell.arm.robot import Body
+from scanmotion.cell.collision.near_tables import by_tables, near_tables, way_to_blocked
 from scanmotion.cell.collision.pairs import ignored, on_floor
 from scanmotion.cell.collision.shapes import beyond, box_of
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
@@ -81,6 +82,10 @@ def filter_from(
     of = {id(b): n for n, b in enumerate(robot)}
     links = np.array([b.link for b in robot])
     pairs = ~ignored(cell)[[of[id(b)] for b in moving]] & (groups[:, None] > links)
+    tabled = np.array([[by_tables(low, high) for low in robot] for high in moving])
+    near = [(robot[b], moving[g]) for g, b in np.argwhere(pairs & tabled)]
+    reach = _reach(cell, spheres, np.repeat(groups, np.diff(starts)))
+    tables = near_tables(cell, near, cell.settings.process.self_clearance_m, reach)
     # Copies where a cell is frozen or not yet: kernels would be compiled for either kind.
     return Filter(
         chain=(
@@ -90,11 +95,12 @@ def filter_from(
         spheres=(spheres, starts, bounds, groups, np.array([on_floor(cell, b) for b in moving])),
         boxes=(
             links, np.array([b.X_LG for b in robot]),
-            np.array([box_of(b) for b in robot]), pairs, float(self_clearance),
+            np.array([box_of(b) for b in robot]), pairs & ~tabled, float(self_clearance),
+            tables.values, tables.joints,
         ),
         world=(*_world_arrays(cell), float(clearance)),
         grid=_grid(cell) if grid is None else (*grid[:4], cell.X_WT @ cell.X_TO),
-        reach=_reach(cell, spheres, np.repeat(groups, np.diff(starts))),
+        reach=reach,
     )  # fmt: skip
 
 
@@ -245,14 +251,16 @@ def margin(q, chain, spheres, boxes, world, grid, enough):
     link_frames(q, chain, X)
     cos, sin = np.cos(q[6]), np.sin(q[6])
     points, starts, bounds, groups, floored = spheres
-    box_link, box_X, box_half, pairs, self_clearance = boxes
+    box_link, box_X, box_half, pairs, self_clearance, tables, table_joints = boxes
+    best = way_to_blocked(q, tables, table_joints, enough)
+    if best < 0:
+        return best
     T = np.empty((len(box_link), 12))
     middle = np.empty((len(box_link), 4))
     for b in range(len(box_link)):
         _box_frame(X[box_link[b]], box_X[b], T[b])
         middle[b, 0], middle[b, 1], middle[b, 2] = _placed(X[box_link[b]], box_X[b, :3, 3])
         middle[b, 3] = np.sqrt(box_half[b, 0] ** 2 + box_half[b, 1] ** 2 + box_half[b, 2] ** 2)
-    best = enough
     for g in range(len(groups)):
         link = groups[g]
         floor = floored[g]

@@ -1,5 +1,6 @@
 """Inverse kinematics of arms with a spherical wrist and parallel A2 and A3, in all eight branches."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -135,9 +136,8 @@ def opw_arm(robot: Robot) -> OpwArm | None:
         if lengths is None:
             continue
         for flips in product((False, True), repeat=6):
-            model = KinematicModel(**lengths, offsets=tuple(up), flip_axes=flips)  # pyright: ignore[reportArgumentType]
-            solver = OpwRobot(model, degrees=False)
-            got = np.array([solver.forward(tuple(row)).as_matrix() for row in q])
+            solver = opw_solver(lengths, up, flips)
+            got = opw_poses(solver, q)
             R_FG = np.swapaxes(target[:, :3, :3], 1, 2) @ got[:, :3, :3]
             off = np.abs(got[:, :3, 3] - target[:, :3, 3]).max()
             if off < 1e-6 and np.abs(R_FG - R_FG[0]).max() < 1e-6:
@@ -145,6 +145,33 @@ def opw_arm(robot: Robot) -> OpwArm | None:
                 X_FG[:3, :3] = np.round(R_FG[0], 12)
                 return OpwArm(solver=solver, lengths=lengths, X_FG=X_FG)
     return None
+
+
+def opw_solver(lengths: dict[str, float], offsets: np.ndarray, flips: Sequence[bool]) -> OpwRobot:
+    """The library's solver; what it is not given it takes as zero.
+
+    Args:
+        lengths: a1, a2, b, c1 to c4 [m].
+        offsets: of the joints, shape (6,) [rad].
+        flips: which joints turn the other way, six.
+    """
+    o1, o2, o3, o4, o5, o6 = (float(x) for x in offsets)
+    f1, f2, f3, f4, f5, f6 = flips
+    model = KinematicModel(
+        a1=lengths["a1"], a2=lengths["a2"], b=lengths["b"], c1=lengths["c1"], c2=lengths["c2"],
+        c3=lengths["c3"], c4=lengths["c4"], offsets=(o1, o2, o3, o4, o5, o6),
+        flip_axes=(f1, f2, f3, f4, f5, f6),
+    )  # fmt: skip
+    return OpwRobot(model, degrees=False)
+
+
+def opw_poses(solver: OpwRobot, q: np.ndarray) -> np.ndarray:
+    """The solver's own flange, shape (n, 4, 4) [m], for joints of shape (n, 6) [rad]."""
+    poses: list[np.ndarray] = []
+    for row in q:
+        a, b, c, d, e, f = (float(x) for x in row)
+        poses.append(solver.forward((a, b, c, d, e, f)).as_matrix())
+    return np.array(poses)
 
 
 def _lengths(robot: Robot, q_up: np.ndarray) -> dict[str, float] | None:

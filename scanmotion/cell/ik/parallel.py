@@ -10,10 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from scanmotion.cell.arm.robot import Robot, Solved, arm_poses, clean_angle, least_singular, rotations
+from scanmotion.cell.ik.polish import polished
 
 _EDGE_M = 1e-9
 """A wrist this far outside the reach is taken for on its edge [m]."""
 
+_SQUARE = 1e-4
+"""Axes this near to parallel, to right angles and to meeting are taken for so [rad, m]; see `polished`."""
+_EXACT = 1e-12
 _ROUND = 12
 """Angles of A6 that are tried where it is free."""
 
@@ -29,6 +33,8 @@ class ParallelArm:
     """Shape (6, 3) [m]; those of A5 and A6 are the same point, where the two meet."""
     X_BF0: np.ndarray
     """Flange at zero, shape (4, 4)."""
+    rough: bool = False
+    """Whether axes are parallel only nearly, so that answers are led onto the pose by Newton's steps."""
 
     def __call__(self, X_BF: np.ndarray) -> Solved:
         """All branches of flange poses in the base, shape (n, 4, 4); slot 4 a + 2 b + c for A1, A5 and A3.
@@ -44,6 +50,8 @@ class ParallelArm:
                 more.append((q, np.where(singular, gap, np.inf)))
             joints, short = (np.concatenate(parts, axis=1) for parts in zip(*more, strict=True))
         joints[short > _EDGE_M] = np.nan
+        if self.rough:
+            joints = polished(self.robot, joints, X_BF)
         least = short.min(axis=1, initial=np.inf)
         found = np.isfinite(joints[:, :, 0])
         joints[found] = clean_angle(joints[found])
@@ -131,8 +139,9 @@ def parallel_arm(robot: Robot) -> ParallelArm | None:
     p = frames[1:, :3, 3].copy()
     h = w[1]
     square = np.array([w[0] @ h, h @ w[4], w[4] @ w[5], 1 - abs(w[2] @ h), 1 - abs(w[3] @ h)])
-    if np.abs(square).max() > 1e-9 or abs(np.cross(w[4], w[5]) @ (p[5] - p[4])) > 1e-9:
+    if np.abs(square).max() > _SQUARE or abs(np.cross(w[4], w[5]) @ (p[5] - p[4])) > _SQUARE:
         return None
     meet = p[4] + ((p[5] - p[4]) @ w[4]) * w[4]
     p[4] = p[5] = meet
-    return ParallelArm(robot=robot, w=w, p=p, X_BF0=frames[6] @ robot.X_6F)
+    rough = bool(np.abs(square).max() > _EXACT)
+    return ParallelArm(robot=robot, w=w, p=p, X_BF0=frames[6] @ robot.X_6F, rough=rough)

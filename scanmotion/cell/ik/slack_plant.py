@@ -19,7 +19,7 @@ from pydrake.solvers import SnoptSolver, SolverOptions
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
-from scanmotion.cell.drake_scene import add_cell, add_hull, ignored_pairs
+from scanmotion.cell.drake_scene import add_cell, add_hull, exempt_ids
 
 if TYPE_CHECKING:
     from scanmotion.cell.model import Cell
@@ -123,7 +123,8 @@ class SlackPlant:
             if positions.dtype != object:
                 return cost(np.asarray(positions, dtype=float)[order])[0]
             value, slope = cost(ExtractValue(positions).ravel()[order])
-            return AutoDiffXd(value, slope @ ExtractGradient(positions)[order])  # pyright: ignore
+            gradient: Any = slope @ ExtractGradient(positions)[order]
+            return AutoDiffXd(value, gradient)
 
         ik.prog().AddCost(evaluated, ik.q())
         return self.configuration(self._result(ik, self.positions(seed), 30).GetSolution(ik.q()))
@@ -156,9 +157,11 @@ class SlackPlant:
 
     def _result(self, ik: Any, start: np.ndarray, iterations: int) -> Any:
         """SNOPT's answer; it stops by work done, not by time."""
-        solver, options = SnoptSolver(), SolverOptions()
+        # The stubs of pydrake know no arrays.
+        solver: Any = SnoptSolver()
+        options = SolverOptions()
         options.SetOption(solver.solver_id(), "Major iterations limit", iterations)
-        return solver.Solve(ik.prog(), start, options)  # pyright: ignore
+        return solver.Solve(ik.prog(), start, options)
 
     @property
     def order(self) -> np.ndarray:
@@ -172,9 +175,9 @@ def _filter(plant: MultibodyPlant, scene: SceneGraph, cell: "Cell") -> None:
     base = {b.carrier: plant.GetBodyByName(b.carrier, arm) for b in cell.bodies if b.link == 0}
     around = ("floor", "surroundings", "stand", "turntable")
     still = [*base.values(), *(plant.GetBodyByName(n, plant.GetModelInstanceByName(n)) for n in around)]
-    pairs = ignored_pairs(plant, cell)
-    pairs += [(a, b) for n, a in enumerate(still) for b in still[n + 1 :]]
+    pairs = [(GeometrySet(a), GeometrySet(b)) for a, b in exempt_ids(plant, cell)]
+    of = [GeometrySet(plant.GetCollisionGeometriesForBody(body)) for body in still]
+    pairs += [(a, b) for n, a in enumerate(of) for b in of[n + 1 :]]
     manager = scene.collision_filter_manager()
     for a, b in pairs:
-        of = [GeometrySet(plant.GetCollisionGeometriesForBody(body)) for body in (a, b)]
-        manager.Apply(CollisionFilterDeclaration().ExcludeBetween(of[0], of[1]))
+        manager.Apply(CollisionFilterDeclaration().ExcludeBetween(a, b))

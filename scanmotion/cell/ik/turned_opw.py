@@ -8,18 +8,15 @@ brings the flange to the pose by the arm's own kinematics, within 1e-9; no branc
 from dataclasses import dataclass
 
 import numpy as np
-from py_opw_kinematics import KinematicModel
-from py_opw_kinematics import Robot as OpwRobot
 
-from scanmotion.cell.arm.robot import Robot, Solved, arm_jacobian, arm_poses, clean_angle, inverse_poses
-from scanmotion.cell.ik.opw import OpwArm
+from scanmotion.cell.arm.robot import Robot, Solved, arm_poses, clean_angle, inverse_poses
+from scanmotion.cell.ik.opw import OpwArm, opw_poses, opw_solver
+from scanmotion.cell.ik.polish import polished
 from scanmotion.core.support.streams import fixed_stream
 
 _SQUARE = 1e-4
 """Axes this near to right angles, and this near to one another [rad, m], are taken for so; see `polished`."""
 _EXACT = 1e-10
-_STEPS = 4
-"""Newton's steps onto the pose, for arms whose URDF was written with rounded angles."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,31 +39,8 @@ class TurnedArm:
         found = self.inner(self.X_AB @ X_BF @ self.X_FG)
         joints = clean_angle(self.up + self.sign * found.joints)
         if self.rough:
-            joints = self._polished(joints, X_BF)
+            joints = polished(self.robot, joints, X_BF)
         return Solved(joints=joints, sigma_min=found.sigma_min, extension=found.extension)
-
-    def _polished(self, joints: np.ndarray, X_BF: np.ndarray) -> np.ndarray:
-        """Joints (n, slots, 6) led onto the poses (n, 4, 4); NaN where that does not come off."""
-        row, slot = np.nonzero(np.isfinite(joints[:, :, 0]))
-        q, X = joints[row, slot], X_BF[row]
-        for _ in range(_STEPS):
-            error = self._error(q, X)
-            J = arm_jacobian(self.robot, q)
-            JT = np.swapaxes(J, 1, 2)
-            q = q + (JT @ np.linalg.solve(J @ JT + 1e-12 * np.eye(6), error[..., None]))[..., 0]
-        q[np.abs(self._error(q, X)).max(axis=1, initial=0.0) > 1e-9] = np.nan
-        out = np.full_like(joints, np.nan)
-        out[row, slot] = clean_angle(q)
-        return out
-
-    def _error(self, q: np.ndarray, X: np.ndarray) -> np.ndarray:
-        now = arm_poses(self.robot, q)[:, 6] @ self.robot.X_6F
-        turn = X[:, :3, :3] @ np.swapaxes(now[:, :3, :3], 1, 2)
-        off = 0.5 * np.stack(
-            [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]],
-            axis=1,
-        )
-        return np.concatenate([off, X[:, :3, 3] - now[:, :3, 3]], axis=1)
 
 
 def turned_arm(robot: Robot) -> TurnedArm | None:
@@ -146,14 +120,14 @@ def _checked(
     sign: np.ndarray,
 ) -> TurnedArm | None:
     """The solver, where its kinematics are the arm's."""
-    solver = OpwRobot(KinematicModel(**lengths), degrees=False)  # pyright: ignore[reportArgumentType]
+    solver = opw_solver(lengths, np.zeros(6), (False,) * 6)
     X_BA = np.eye(4)
     X_BA[:3, :3], X_BA[:3, 3] = R_BA, origin
     X_AB = inverse_poses(X_BA)
-    zero = np.array(solver.forward((0.0,) * 6).as_matrix())  # pyright: ignore
+    zero = opw_poses(solver, np.zeros((1, 6)))[0]
     X_FG = inverse_poses(X_AB @ arm_poses(robot, up[None])[0, 6] @ robot.X_6F) @ zero
     theta = fixed_stream("turned_opw_check").uniform(-2, 2, (6, 6))
-    got = np.array([solver.forward(tuple(row)).as_matrix() for row in theta])
+    got = opw_poses(solver, theta)
     true = X_AB @ arm_poses(robot, up + sign * theta)[:, 6] @ robot.X_6F @ X_FG
     off = float(np.abs(got - true).max())
     if off > 100 * _SQUARE:

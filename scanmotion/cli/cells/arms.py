@@ -36,7 +36,7 @@ def reach(
     box: Box = None,
     part: PartFile = None,
     units: Units = "",
-    up: Up = "+z",
+    up: Up = "",
     views: Annotated[
         Path | None,
         typer.Option(

@@ -27,7 +27,7 @@ def paper(
     cell: CellFile = None,
     part: PartFile = None,
     units: Units = "mm",
-    up: Up = "+z",
+    up: Up = "",
     seeds: Annotated[int, typer.Option("--seeds", min=1, max=20, help="Seeds 0..N-1 of table 3.")] = 1,
     out: Annotated[
         Path,

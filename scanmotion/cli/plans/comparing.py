@@ -27,7 +27,7 @@ def compare(
     cell: CellFile = None,
     part: PartFile = None,
     units: Units = "",
-    up: Up = "+z",
+    up: Up = "",
     variant: Annotated[
         list[str] | None,
         typer.Option(

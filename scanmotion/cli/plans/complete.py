@@ -62,9 +62,12 @@ def page_of(made: "Plan", summary: dict[str, Any]) -> str:
 
     from scanmotion.report.figures.maps import hole_figure
 
-    buffer = io.BytesIO()
-    hole_figure(made.part, made.holes).savefig(buffer, format="png")  # pyright: ignore
-    picture = base64.b64encode(buffer.getvalue()).decode("ascii")
+    picture = ""
+    if made.holes is not None:
+        buffer = io.BytesIO()
+        hole_figure(made.part, made.holes).savefig(buffer, format="png")
+        data = base64.b64encode(buffer.getvalue()).decode("ascii")
+        picture = f'<img alt="the scan" style="max-width:100%" src="data:image/png;base64,{data}">'
     lines = [ANSWER[0].upper() + ANSWER[1:] + "."]
     if tiny := summary["holes"]["tiny"]:
         lines.append(f"{tiny} gaps are too small to be planned for.")
@@ -76,7 +79,7 @@ def page_of(made: "Plan", summary: dict[str, Any]) -> str:
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title></head>'
         f"<body style='font-family:sans-serif;max-width:60em;margin:2em auto'><h1>{title}</h1>{rows}"
-        f'<img alt="the scan" style="max-width:100%" src="data:image/png;base64,{picture}"></body></html>\n'
+        f"{picture}</body></html>\n"
     )
 
 

@@ -57,7 +57,7 @@ def plan(
     box: Box = None,
     scan: ScanFile = None,
     units: Units = "",
-    up: Up = "+z",
+    up: Up = "",
     place: Place = "",
     budget: Annotated[
         float | None,

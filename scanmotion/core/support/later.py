@@ -7,7 +7,7 @@ user calls of them works as ever.
 
 import importlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
@@ -50,7 +50,7 @@ def defer_functions(name: str, functions: tuple[str, ...]) -> None:
 
 
 @contextmanager
-def deferred(name: str) -> Iterator[None]:
+def deferred(name: str) -> Generator[None]:
     """What is imported inside of the block gets a stand-in for the module `name`, loaded at its first use.
 
     Behind the block the name is as it was: whoever imports it gets the true module.
@@ -65,7 +65,8 @@ def deferred(name: str) -> Iterator[None]:
             raise AttributeError(wanted)
         return getattr(importlib.import_module(name), wanted)
 
-    stand_in.__getattr__ = attribute  # pyright: ignore
+    # A module asks its dictionary for __getattr__ (PEP 562).
+    stand_in.__dict__["__getattr__"] = attribute
     sys.modules[name] = stand_in
     try:
         yield

@@ -4,6 +4,7 @@ The libraries (trimesh, pye57) build what a file claims before they look at its 
 of memory and of time, so that the worst a file can do is to be refused.
 """
 
+import json
 import subprocess
 import sys
 import tempfile
@@ -49,7 +50,7 @@ def read_by_library(path: Path) -> RawGeometry:
                 vertices=data["vertices"],
                 triangles=checked_triangles(data["triangles"], n) if len(data["triangles"]) else NO_TRIANGLES,
                 format=str(data["format"]), units=str(data["units"]), units_from=str(data["units_from"]),
-                notes=tuple(str(n) for n in data["notes"]), step=float(data["step"]),
+                up=str(data["up"]), notes=tuple(str(n) for n in data["notes"]), step=float(data["step"]),
             )  # fmt: skip
 
 
@@ -60,9 +61,36 @@ _LONG_UNITS = {
 }  # fmt: skip
 
 
+_NOT_READ = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mesh_quantization")
+"""Extensions of glTF that change where the points are."""
+
+
+def _check_gltf(path: Path) -> None:
+    """Refuses glTF whose points trimesh reads as zeros, or not at all, without a word.
+
+    Raises:
+        PartError: packed by an extension, or with sparse or empty accessors.
+    """
+    data = path.read_bytes()
+    words = data[20 : 20 + int.from_bytes(data[12:16], "little")] if data[:4] == b"glTF" else data
+    document = json.loads(words)
+    used = [
+        str(name) for name in [*document.get("extensionsUsed", ()), *document.get("extensionsRequired", ())]
+    ]
+    if packed := [name for name in _NOT_READ if name in used]:
+        raise PartError(f"its points are packed by {packed[0]}, which is not read here: export it without")
+    for accessor in document.get("accessors", ()):
+        if "sparse" in accessor:
+            raise PartError("it has sparse accessors, which are not read here: export it without")
+        if "bufferView" not in accessor:
+            raise PartError("it has an accessor without data")
+
+
 def _by_trimesh(path: Path) -> dict:
     import trimesh
 
+    if path.suffix.lower() in (".glb", ".gltf"):
+        _check_gltf(path)
     scene = trimesh.load_scene(path)
     points, triangles, clouds, first = [], [], 0, 0
     for name in scene.graph.nodes_geometry:
@@ -89,7 +117,7 @@ def _by_trimesh(path: Path) -> dict:
     return {
         "vertices": stacked, "triangles": np.concatenate(triangles), "notes": np.array(notes, dtype=str),
         "format": suffix[1:].upper(), "units": units or ("m" if suffix in _BY_STANDARD else ""),
-        "units_from": units_from,
+        "units_from": units_from, "up": "+y" if suffix in _BY_STANDARD else "",
         "step": 0.0 if suffix == ".3mf" else float(np.spacing(np.float32(np.abs(stacked).max(initial=0.0)))),
     }  # fmt: skip
 
@@ -113,7 +141,7 @@ def _by_pye57(path: Path) -> dict:
     notes = [f"{len(points)} scans were put together by the poses in the file"] if len(points) > 1 else []
     return {
         "vertices": stacked, "triangles": NO_TRIANGLES, "notes": np.array(notes, dtype=str), "format": "E57",
-        "units": "m", "units_from": _BY_STANDARD[".e57"], "step": 0.0,
+        "units": "m", "units_from": _BY_STANDARD[".e57"], "up": "", "step": 0.0,
     }  # fmt: skip
 
 

@@ -4,7 +4,6 @@ A file is read whole or refused in one clear line. Every count that a header cla
 file's size before anything is allocated. docs/files.md says what each reader understands.
 """
 
-import re
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,13 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from scanmotion.core.errors import PartError
+from scanmotion.geometry.files.clouds.pcd import read_pcd
+from scanmotion.geometry.files.clouds.ptx import read_ptx
+from scanmotion.geometry.files.clouds.text_clouds import read_text_cloud
 from scanmotion.geometry.files.formats.obj import read_obj, read_off
-from scanmotion.geometry.files.formats.pcd import read_pcd
 from scanmotion.geometry.files.formats.ply_read import read_ply
 from scanmotion.geometry.files.formats.stl import read_stl
-from scanmotion.geometry.files.formats.text_clouds import read_ptx, read_text_cloud
 from scanmotion.geometry.files.in_process import read_by_library
 from scanmotion.geometry.files.raw import MAX_TRIANGLES, RawGeometry
+from scanmotion.geometry.files.strangers import content_kind, stranger_by_content, stranger_by_name
 
 __all__ = ["MAX_BYTES", "MAX_TRIANGLES", "MESHES", "SUFFIXES", "RawGeometry", "read_geometry"]
 
@@ -36,21 +37,6 @@ _LIBRARIES = (".glb", ".gltf", ".3mf", ".e57")
 _TEXTS = (".xyz", ".asc", ".txt", ".csv", ".pts", ".xyzn", ".xyzrgb", ".neu")
 SUFFIXES = (*_READERS, *_LIBRARIES, *_TEXTS)
 MESHES = (".ply", ".stl", ".obj", ".off", ".glb", ".gltf", ".3mf")
-_STRANGERS = (
-    (b"version https://git-lfs", "is a Git LFS pointer, not the file itself: `git lfs pull` fetches it"),
-    (b"<!DOCTYPE html", "is a web page, not the file itself: the download went wrong"),
-    (b"<html", "is a web page, not the file itself: the download went wrong"),
-    (b"\x1f\x8b", "is packed with gzip: unpack it first"),
-    (b"7z\xbc\xaf", "is packed with 7-Zip: unpack it first"),
-    (b"ISO-10303-21", "is a STEP file: export it as a mesh"),
-)
-_MAGIC = (
-    (b"ply\n", ".ply"),
-    (b"ply\r", ".ply"),
-    (b"# .PCD", ".pcd"),
-    (b"glTF", ".glb"),
-    (b"ASTM-E57", ".e57"),
-)
 
 
 def read_geometry(path: str | Path) -> RawGeometry:
@@ -66,6 +52,8 @@ def read_geometry(path: str | Path) -> RawGeometry:
         raise PartError("is not a file", path=str(path))
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
+        if what := stranger_by_name(suffix):
+            raise PartError(what, path=str(path))
         raise PartError(f"unknown kind of file {suffix!r}; known: {', '.join(SUFFIXES)}", path=str(path))
     size = path.stat().st_size
     if size == 0:
@@ -86,18 +74,17 @@ def read_geometry(path: str | Path) -> RawGeometry:
 
 def _read(path: Path, suffix: str) -> RawGeometry:
     with path.open("rb") as file:
-        head = file.read(512)
-    for magic, what in _STRANGERS:
-        if head.lstrip()[: len(magic)].lower() == magic.lower():
-            raise PartError(what)
-    kind = next((k for magic, k in _MAGIC if head.startswith(magic)), suffix)
+        head = file.read(2048)
+    if what := stranger_by_content(head, suffix):
+        raise PartError(what)
+    kind = content_kind(head, suffix)
     if kind in _LIBRARIES:
         if kind != suffix:
             raise PartError(f"its content is that of a {kind[1:].upper()} file; name it so")
         return read_by_library(path)
     data = path.read_bytes()
-    if kind == ".obj" and re.match(rb"\s*solid\b", head) and b"facet" in head:
-        kind = ".stl"
+    if not head.strip(b"\0") and not data.strip(b"\0"):
+        raise PartError("holds nothing but zeros: writing or copying it failed")
     # Damaged numbers (signalling NaN, infinities) are found and said later; numpy need not warn of them.
     with np.errstate(all="ignore"):
         raw = read_text_cloud(data, kind[1:].upper()) if kind in _TEXTS else _READERS[kind](data)

@@ -47,8 +47,9 @@ def ply_data(
         (("x", "y", "z"), points), (("nx", "ny", "nz"), normals), (("red", "green", "blue"), colors),
         (("quality",), None if quality is None else quality[:, None]),
     ):  # fmt: skip
-        for a, name in enumerate(names if values is not None else ()):
-            table[name] = values[:, a]  # pyright: ignore[reportOptionalSubscript]
+        if values is not None:
+            for a, name in enumerate(names):
+                table[name] = values[:, a]
     kinds = {"f4": "float", "f8": "double", "u1": "uchar"}
     lines = ["ply", "format binary_little_endian 1.0", "comment scanmotion", f"element vertex {len(points)}"]
     lines += [f"property {kinds[t]} {n}" for n, t in fields]

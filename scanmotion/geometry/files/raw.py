@@ -31,6 +31,12 @@ class RawGeometry:
     """What was taken for what, one phrase each: "normals: nx, ny, nz"."""
     notes: tuple[str, ...] = ()
     """What was left out or put right while reading, one sentence each."""
+    up: str = ""
+    """Axis that points up where the format's standard says it (+y in glTF), or ""."""
+    doubts: tuple[str, ...] = ()
+    """What may be wrong with it, one sentence each."""
+    up_doubt: str = ""
+    """Why z may not be up, for who does not say what is."""
     step: float = 0.0
     """Least difference of two coordinates that the file can tell apart, in its unit; 0 where not known."""
 

@@ -85,19 +85,17 @@ def _lowest_plane(points: np.ndarray, up: np.ndarray, reach: float) -> tuple[np.
         return None
     rng = fixed_stream("floor_plane")
     some = points[low[rng.integers(len(low), size=min(4000, len(low)))]]
-    best, found = 0, None
-    for _ in range(_TRIES):
-        a, b, c = some[rng.integers(len(some), size=3)]
-        n = np.cross(b - a, c - a)
-        length = float(np.linalg.norm(n))
-        if length <= 0 or abs(n @ up) < _TILT * length:
-            continue
-        n = n / length * np.sign(n @ up)
-        count = int((np.abs((some - a) @ n) < reach / 2).sum())
-        if count > best:
-            best, found = count, (n, float(a @ n))
-    if found is None:
+    a, b, c = np.moveaxis(some[rng.integers(len(some), size=(_TRIES, 3))], 1, 0)
+    n = np.cross(b - a, c - a)
+    length = np.linalg.norm(n, axis=1)
+    level = (length > 0) & (np.abs(n @ up) >= _TILT * length)
+    if not level.any():
         return None
+    n = n[level] * (np.sign(n[level] @ up) / length[level])[:, None]
+    offset = np.einsum("ij,ij->i", a[level], n)
+    count = np.array([(np.abs(some @ v - d) < reach / 2).sum() for v, d in zip(n, offset, strict=True)])
+    best = int(count.argmax())
+    found = (n[best], float(offset[best]))
     for shrink in (1.0, 0.5, 0.5):
         near = points[np.abs(points @ found[0] - found[1]) < shrink * reach]
         if len(near) < 10:

@@ -146,7 +146,8 @@ def with_checked_normals(made: MendedCloud) -> MendedCloud:
     if made.normals is None:
         return made
     normals = np.array(made.normals, float)
-    length = np.linalg.norm(normals, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # a damaged number may be of any size
+        length = np.linalg.norm(normals, axis=1)
     known = np.isfinite(length) & (length > 1e-6)
     lacking = int((~known).sum())
     said: list[str] = []

@@ -54,7 +54,7 @@ def box_part(length: float, width: float, height: float) -> Part:
 
 
 def part_from_file(
-    path: str | Path, *, units: str | None = None, up: str = "+z", place: str = "centre", guess: bool = False
+    path: str | Path, *, units: str | None = None, up: str = "", place: str = "centre", guess: bool = False
 ) -> Part:
     """Loads a mesh or a cloud of any kind that `read_geometry` knows into frame O.
 
@@ -62,7 +62,8 @@ def part_from_file(
         path: the file.
         units: unit of the file's coordinates: mm, cm, m, in, ft or um; by default what the file states, and
             mm where it states none.
-        up: axis of the file that points up: +x, -x, +y, -y, +z or -z.
+        up: axis of the file that points up: +x, -x, +y, -y, +z or -z; by default what the format's standard
+            says (+y in glTF), else +z.
         place: "centre" stands the box's centre on the table's axis and its base at z = 0; "keep" takes the
             file's x, y, z as they are (a scan measured in the turntable's frame).
         guess: whether a size that is absurd in mm may be taken for metres.
@@ -86,7 +87,11 @@ def part_from_raw(
         raise PartError(f"unknown placement {place!r}; known: centre, keep", path=name)
     if len(raw.vertices) < 3:
         raise PartError(f"only {len(raw.vertices)} points", path=name)
-    R = upright(up, name)
+    R = upright(up or raw.up or "+z", name)
+    doubts = (raw.up_doubt,) if raw.up_doubt and not up else ()
+    if raw.up and not up:
+        raw = replace(raw, columns=(*raw.columns, f"{raw.up} is up by the standard of its format"))
+    raw = replace(raw, doubts=(*raw.doubts, *doubts))
     made: Mended | MendedCloud
     if len(raw.triangles):
         made = mended(raw.vertices, raw.triangles, step=raw.step, up=R[2], path=name)

@@ -15,7 +15,7 @@ from scanmotion.geometry.parts.make_part import carving, part_from_file, part_fr
 
 
 def part_from(
-    source: Any, *, units: str | None = None, up: str = "+z", place: str = "centre", name: str = "part"
+    source: Any, *, units: str | None = None, up: str = "", place: str = "centre", name: str = "part"
 ) -> Part:
     """The part that `source` is.
 
@@ -24,7 +24,7 @@ def part_from(
             (vertices, triangles) of arrays of shapes (n, 3) and (m, 3); or points alone, shape (n, 3).
         units: unit of the coordinates: mm, cm, m, in, ft or um. A file may state its own; everything else
             needs it.
-        up: axis of the source that points up: +x, -x, +y, -y, +z or -z.
+        up: axis of the source that points up: +x, -x, +y, -y, +z or -z; by default +z, or as a file says.
         place: "centre" stands it on the table's centre; "keep" takes x, y, z as they are.
         name: what a part made from arrays is called.
 

@@ -14,6 +14,8 @@ UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048, "um": 1e-
 _AXES = {"x": 0, "y": 1, "z": 2}
 _LEAST, _MOST = 0.01, 20.0
 """Nothing smaller or larger is scanned in such a cell [m]."""
+_SMALL = 0.06
+"""A part smaller than this [m] whose unit nobody states may well be in another unit."""
 _BLURRED = 0.01
 """A file whose steps are more than this share of the part's size has lost its surface, if it is far off."""
 _FAR = 20.0
@@ -71,6 +73,17 @@ def check_size(vertices: np.ndarray, units: str, path: str) -> None:
         raise PartError("all points lie on one line", path=path)
 
 
+def _small(largest: float, unit: str, units_from: str) -> tuple[str, ...]:
+    """What is to be said of a size [m] that would be likelier in another unit than the assumed one."""
+    if largest >= _SMALL or not units_from.startswith("assumed"):
+        return ()
+    others = ", ".join(
+        f"{largest / UNITS[unit] * UNITS[u] * 1e3:.4g} mm in {u}" for u in ("cm", "in", "m")
+        if largest / UNITS[unit] * UNITS[u] <= _MOST
+    )  # fmt: skip
+    return (f"it is small: if it is in another unit, give --units (it would be {others})",)
+
+
 def other_units(largest: float, units: str) -> str:
     """Which other unit would make sense of a size [m]."""
     fit = [u for u, scale in UNITS.items() if _LEAST <= largest / UNITS[units] * scale <= _MOST]
@@ -99,6 +112,7 @@ def report_of(
 ) -> ReadReport:
     """What is to be said of a file that was read; size (3,) in metres."""
     mesh = isinstance(made, Mended)
+    doubts = (*raw.doubts, *_small(float(size.max()), unit, units_from))
     return ReadReport(
         file=Path(path).name, format=raw.format, points=len(made.vertices) if mesh else len(made.points),
         triangles=len(made.triangles) if mesh else 0,
@@ -107,5 +121,5 @@ def report_of(
         bodies=made.bodies if mesh else made.pieces, specks=made.specks, closed=mesh and made.closed,
         welded=made.welded if mesh else 0, turned=made.turned, dropped=made.dropped,
         split=made.split if mesh else 0, changes=(*raw.notes, *made.changes),
-        warnings=made.warnings if mesh else (),
+        warnings=(*doubts, *(made.warnings if mesh else ())),
     )  # fmt: skip

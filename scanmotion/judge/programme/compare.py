@@ -157,8 +157,6 @@ def _judged(d: Deviation, o: Operation) -> list[Finding]:
     return findings
 
 
-def _step_finding(
-    n: int, o: Operation, text: str, *, code: str = "path", value: float | None = None
-) -> Finding:
+def _step_finding(n: int, o: Operation, text: str, *, code: str = "path", value: float = 0.0) -> Finding:
     name = f"step {n} ({o.kind} {' '.join(o.viewpoints[:3])})"
-    return Finding(code=code, message=f"{name} {text}", where=f"step {n}", value=value, t=o.t_start)  # pyright: ignore
+    return Finding(code=code, message=f"{name} {text}", where=f"step {n}", value=value, t=o.t_start)

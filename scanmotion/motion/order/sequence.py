@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.support.threads import by_pieces
 from scanmotion.core.tour import Stop, Tour
+from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.motion.order.given_order import given_order
 from scanmotion.motion.order.lower_bound import floor_seconds
 from scanmotion.motion.order.paper_order import paper_order
@@ -76,12 +77,49 @@ class Ordered:
     """[s]"""
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Unordered:
+    """Stops without an order yet."""
+
+    cell: Cell
+    model: MoveModel
+    groups: list[Group]
+    viewpoints: dict[str, Viewpoint]
+    """By id, in the order in which they were asked for."""
+    start_q: np.ndarray
+    """Where the programme stands, shape (7,) [rad]."""
+
+
+Ordering = Callable[[Unordered, np.random.Generator, SequenceOptions], Ordered]
+"""Puts stops into an order, each in one of its ways: `by_seconds`, `by_distance`, `as_given`."""
+
+
+def by_seconds(todo: Unordered, rng: np.random.Generator, options: SequenceOptions) -> Ordered:
+    """The least seconds found, over order, configurations and table angles at once."""
+    return _fastest_order(todo.model, todo.groups, todo.start_q, rng, options)
+
+
+def by_distance(todo: Unordered, rng: np.random.Generator, options: SequenceOptions) -> Ordered:
+    """The paper's order (its section 4): by Euclidean distance; the table turns only for what needs it."""
+    from scanmotion.cell.kinematics import scanner_in_object
+
+    p_OS = np.asarray(scanner_in_object(todo.cell, todo.start_q[None]))[0, :3, 3]
+    order, ways = paper_order(todo.groups, todo.viewpoints, p_OS, todo.start_q, rng, options.orders)
+    return Ordered(groups=todo.groups, order=order, ways=ways, cost=np.nan)
+
+
+def as_given(todo: Unordered, rng: np.random.Generator, options: SequenceOptions) -> Ordered:
+    """The order in which the viewpoints were asked for; the configurations that take the least seconds."""
+    order, ways = given_order(todo.groups, list(todo.viewpoints), todo.model, todo.start_q)
+    return Ordered(groups=todo.groups, order=order, ways=ways, cost=np.nan)
+
+
 def sequence(
     cell: Cell,
     reaches: Sequence[ReachLike],
     *,
     start_q: np.ndarray,
-    mode: Literal["default", "paper", "given"] | str = "default",
+    ordering: Ordering | None = None,
     rng: np.random.Generator,
     options: SequenceOptions | None = None,
     path_free: PathFree | None = None,
@@ -90,45 +128,33 @@ def sequence(
     """The order over viewpoints, configurations and table angles that takes the least seconds found.
 
     Viewpoints of the global step come before those of the local step. A revolution keeps the arm still and
-    may turn either way; a sweep may be passed either way; a station is a dwell. Mode "paper" orders the
-    viewpoints by Euclidean distance and turns the table only for those that need it (its section 4).
-    Mode "given" visits them in the order of `reaches`.
+    may turn either way; a sweep may be passed either way; a station is a dwell.
 
     Args:
         cell: limits of the axes and speeds of the process.
         reaches: the viewpoints with their collision-free configurations.
         start_q: where the programme stands, shape (7,) [rad]; with `keep`, where the last kept stop ends.
-        mode: "default", "paper" or "given".
+        ordering: how the stops are put in order: `by_seconds` unless given, `by_distance` or `as_given`.
         rng: source of the random numbers; the same state gives the same tour.
         options: how hard to search.
         path_free: tells whether a sweep's joint path (k, 7) is clear; None takes it as clear.
         keep: stops that are done already; their viewpoints are left out of the tour.
 
     Raises:
-        InputError: an unknown mode, or start_q is not seven finite numbers.
+        InputError: start_q is not seven finite numbers.
     """
     options = options or SequenceOptions()
     start_q = np.array(start_q, dtype=float)
     if start_q.shape != (7,) or not np.isfinite(start_q).all():
         raise InputError(f"start_q must be seven finite joint positions, got shape {start_q.shape}")
-    if mode not in ("default", "paper", "given"):
-        raise InputError(f"mode {mode!r} is unknown; known: default, paper, given")
     done = {v for stop in keep for v in stop.viewpoints}
     reaches = [r for r in reaches if r.viewpoint.id not in done]
     model = move_model(cell)
     groups, unplaced = _groups(cell, model, reaches, start_q, path_free, options)
     viewpoints = {r.viewpoint.id: r.viewpoint for r in reaches}
-    if mode == "paper":
-        from scanmotion.cell.kinematics import scanner_in_object
-
-        p_OS = np.asarray(scanner_in_object(cell, start_q[None]))[0, :3, 3]
-        order, ways = paper_order(groups, viewpoints, p_OS, start_q, rng, options.orders)
-    elif mode == "given":
-        order, ways = given_order(groups, [r.viewpoint.id for r in reaches], model, start_q)
-    else:
-        best = _fastest_order(model, groups, start_q, rng, options)
-        groups, order, ways = best.groups, best.order, best.ways
-    stops = tuple(_stop(groups[g], w) for g, w in zip(order, ways, strict=True))
+    todo = Unordered(cell=cell, model=model, groups=groups, viewpoints=viewpoints, start_q=start_q)
+    found = (ordering or by_seconds)(todo, rng, options)
+    stops = tuple(_stop(found.groups[g], w) for g, w in zip(found.order, found.ways, strict=True))
     return Tour(
         start_q=start_q,
         stops=stops,

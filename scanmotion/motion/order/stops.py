@@ -44,7 +44,7 @@ class ReachLike(Protocol):
         ...
 
 
-PathFree = Callable[[np.ndarray], tuple]
+PathFree = Callable[[np.ndarray], tuple[bool, int, tuple[str, str]]]
 """Whether a joint path (k, 7) is clear, as the first item of what is returned (Clearance.path_free)."""
 TURN = 2 * np.pi
 _REVOLUTION_ARMS = 60

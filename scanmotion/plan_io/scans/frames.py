@@ -12,12 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+from pydantic import JsonValue
 
 from scanmotion.cell.build import Cell
 from scanmotion.cell.kinematics import scanner_poses
-from scanmotion.core.trajectory import Trajectory
+from scanmotion.core.trajectory import Operation, Trajectory
 from scanmotion.core.viewpoint import Viewpoint
+from scanmotion.geometry.typed_scipy import hermite_at, quaternions_from_rotations
 from scanmotion.sensing.simulator.captures import captures_from_trajectory
 
 VERSION = 1
@@ -64,12 +65,12 @@ def frame_table(trajectory: Trajectory, viewpoints: Sequence[Viewpoint], cell: C
     scans = [o for o in trajectory.operations if o.scanning]
     # A frame on the border of two operations that scan is the later one's first.
     own = [_owner(scans, ends, float(t)) for t in captures.t]
-    names = []
+    names: list[str] = []
     for k, i in enumerate(own):
         ids = [v for v in scans[i].viewpoints if v in views]
         away = [np.linalg.norm(views[v].X_OS[:3, 3] - X_OS[k, :3, 3]) for v in ids]
         names.append(ids[int(np.argmin(away))] if ids else "")
-    q = CubicHermiteSpline(trajectory.t, trajectory.q, trajectory.qd)(captures.t)
+    q = hermite_at(trajectory.t, trajectory.q, trajectory.qd, captures.t)
     return FrameTable(
         t=captures.t, operation=np.array([scans[i].index for i in own], int),
         kind=tuple(scans[i].kind for i in own), viewpoint=tuple(names), q=q.reshape(-1, 7), X_OS=X_OS,
@@ -77,7 +78,7 @@ def frame_table(trajectory: Trajectory, viewpoints: Sequence[Viewpoint], cell: C
     )  # fmt: skip
 
 
-def _owner(scans: Sequence, ends: np.ndarray, t: float) -> int:
+def _owner(scans: Sequence[Operation], ends: np.ndarray, t: float) -> int:
     i = int(np.searchsorted(ends, t - 1e-9))
     nearer = i + 1 < len(scans) and t >= scans[i + 1].t_start - 1e-9
     return min(i + 1 if nearer else i, len(scans) - 1)
@@ -111,17 +112,13 @@ def frames_csv(table: FrameTable) -> str:
 
 def pose_columns(X: np.ndarray) -> np.ndarray:
     """x, y, z [mm] and the unit quaternion w, x, y, z of poses, w >= 0, shape (n, 7)."""
-    from scipy.spatial.transform import Rotation
-
-    if len(X) == 0:
-        return np.zeros((0, 7))
-    quaternion = Rotation.from_matrix(X[:, :3, :3]).as_quat(canonical=True, scalar_first=True)
-    return np.round(np.column_stack([X[:, :3, 3] * 1e3, quaternion]), 7) + 0.0
+    turned = quaternions_from_rotations(X[:, :3, :3])
+    return np.round(np.column_stack([X[:, :3, 3] * 1e3, turned]), 7) + 0.0
 
 
 def frames_json(table: FrameTable) -> str:
     """One document with an entry a frame."""
-    entries = [
+    entries: list[dict[str, JsonValue]] = [
         {
             "index": i, "t": round(float(table.t[i]), 6), "operation": int(table.operation[i]),
             "kind": table.kind[i], "viewpoint": table.viewpoint[i], "q": _told(table.q[i]),
@@ -133,5 +130,5 @@ def frames_json(table: FrameTable) -> str:
     return json.dumps({**head, "frames": entries}, allow_nan=False) + "\n"
 
 
-def _told(a: np.ndarray) -> list:
-    return (np.round(a, 9) + 0.0).tolist()
+def _told(a: np.ndarray) -> list[JsonValue]:
+    return [*(np.round(a, 9) + 0.0).tolist()]

@@ -85,7 +85,7 @@ def still_poses(ctx: Context) -> np.ndarray:
     near, far = ctx.scanner.range
     distance = min(max(near + radius + height / 2, 0.6 * (near + far)), far - 0.02)
     middle = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
-    poses = []
+    poses: list[np.ndarray] = []
     for k in range(_FRAMES):
         turn = 2 * np.pi * k / _FRAMES
         away = np.array([np.cos(_DOWN) * np.cos(turn), np.cos(_DOWN) * np.sin(turn), np.sin(_DOWN)])

@@ -14,6 +14,7 @@ import numpy as np
 from scanmotion.cell.settings.cell import CellSettings
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part, SurfaceSamples
+from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.geometry.parts.resting import RestingPose, resting_poses, turned_part
 from scanmotion.motion.reach.find import reachable_mask
 from scanmotion.planning.context import Context, context_from
@@ -142,7 +143,8 @@ def _result(
 ) -> PlacedPlan:
     seen = done[-1].state.seen
     could = ceiling | seen
-    placements, before = [], np.zeros(len(seen), bool)
+    placements: list[Placement] = []
+    before = np.zeros(len(seen), bool)
     clouds: list[tuple[Cloud, np.ndarray]] = []
     for number, item in enumerate(done, 1):
         placements.append(
@@ -288,7 +290,7 @@ def _moved(samples: SurfaceSamples, X_KO: np.ndarray) -> SurfaceSamples:
     return SurfaceSamples(points=samples.points @ R.T + p, normals=samples.normals @ R.T, area=samples.area)
 
 
-def _views(ctx: Context, state: PlanState, ceiling: np.ndarray, again: int) -> tuple:
+def _views(ctx: Context, state: PlanState, ceiling: np.ndarray, again: int) -> tuple[Viewpoint, ...]:
     """Viewpoints by gain per second for the samples that are still open."""
     assert ctx.simulator is not None
     s = ctx.simulator.samples
@@ -317,7 +319,7 @@ def _views(ctx: Context, state: PlanState, ceiling: np.ndarray, again: int) -> t
 
 def _warnings(pose: RestingPose, placing: PlacementOptions) -> tuple[str, ...]:
     """What the operator must be told of a pose before the table turns."""
-    said = []
+    said: list[str] = []
     if len(pose.support_m) == 0:
         said.append("the part does not rest so by itself: it must be held")
         return tuple(said)

@@ -110,7 +110,8 @@ def joined_segment(
     """
     if segment.trajectory is None:
         return None
-    seconds, way = [], 0.0
+    seconds: list[float] = []
+    way = 0.0
     for o in segment.trajectory.operations:
         if o.scanning:
             seconds.append(way)

@@ -98,7 +98,7 @@ def stop_masks(
     )
     scanner, X_OS = settings.scanner_model(), captures.X_OS
     points, normals = samples.points[which], samples.normals[which]
-    masks = []
+    masks: list[np.ndarray] = []
     for o in trajectory.operations:
         if o.scanning:
             frames = np.flatnonzero((captures.t >= o.t_start - 1e-9) & (captures.t <= o.t_end + 1e-9))
@@ -129,7 +129,7 @@ def stops_seen(
         samples: of the surface.
         open_: indices of the samples that the global step has not seen, shape (m,).
     """
-    found = []
+    found: list[StopSeen] = []
     for item in segments:
         if item.trajectory is not None:
             seconds = costs(cell, item.tour, item.trajectory)

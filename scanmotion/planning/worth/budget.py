@@ -100,7 +100,7 @@ def budget_record(
 def _curve_summary(curve: Sequence[CurvePoint]) -> list[CurveSummary]:
     """Each point with what it leaves out beyond the one before."""
     before = 0
-    found = []
+    found: list[CurveSummary] = []
     for point in curve:
         found.append(
             CurveSummary(
@@ -167,7 +167,7 @@ def _advice(
     model: MoveModel, tour: Tour, curve: Sequence[CurvePoint], limit: float, floor: float
 ) -> list[str]:
     """What would bring the programme inside its budget, one sentence each."""
-    said = []
+    said: list[str] = []
     if floor > limit:
         said.append(f"no order of these viewpoints takes less than {floor:.1f} s: fewer or faster is needed")
     fits = next((p for p in curve if p.seconds <= limit), None)

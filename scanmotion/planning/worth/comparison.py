@@ -6,6 +6,7 @@ compares with need the true mesh; the two-step method needs the bounding box and
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from typing import cast
 
 import numpy as np
 
@@ -130,9 +131,10 @@ def compare(
     check_variants(variants)
     if not seeds:
         raise InputError("compare needs at least one seed")
-    rows, total = [], len(variants) * len(seeds)
+    rows: list[Row] = []
+    total = len(variants) * len(seeds)
     for name in variants:
-        found = []
+        found: list[Figures] = []
         for seed in seeds:
             progress(name, (len(rows) * len(seeds) + len(found)) / total)
             found.append(figures(part, settings, name, seed=seed, options=options))
@@ -188,7 +190,8 @@ def row_from(found: Sequence[Figures]) -> Row:
     names = {f.variant for f in found}
     if len(names) != 1:
         raise InputError(f"a row is of one variant, got {len(names)}")
-    name, pairs = names.pop(), {}
+    name = names.pop()
+    pairs: dict[str, tuple[float, float]] = {}
     for field in fields(Figures):
         if field.name not in ("variant", "seed"):
             values = np.array([getattr(f, field.name) for f in found], float)
@@ -227,7 +230,7 @@ def document(part: str, rows: Sequence[Row]) -> dict[str, object]:
 
     def known(value: object) -> object:
         if isinstance(value, tuple):
-            return [known(v) for v in value]
+            return [known(v) for v in cast(tuple[object, ...], value)]
         return None if isinstance(value, float) and not np.isfinite(value) else value
 
     return {

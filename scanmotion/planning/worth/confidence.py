@@ -12,11 +12,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import erf
+from pydantic import JsonValue
 
 from scanmotion.core.part import SurfaceSamples
 from scanmotion.core.scanner import Scanner
 from scanmotion.core.support.streams import Streams, fixed_stream
+from scanmotion.geometry.typed_scipy import error_function
 from scanmotion.sensing.simulator.captures import Captures, ScanErrors, inverse, motion, true_poses
 from scanmotion.sensing.visibility import Scene, seen_by_any, sees
 
@@ -60,7 +61,7 @@ class Confidence:
     mean_abs: Interval | None
     """Mean of the absolute distance [m]; None where no accuracy is known."""
 
-    def record(self) -> dict:
+    def record(self) -> dict[str, JsonValue]:
         """For summary.json."""
         c, a = self.completeness, self.mean_abs
         return {
@@ -174,8 +175,8 @@ def _drawn(errors: ScanErrors, unknown: Uncertainty, rng: np.random.Generator) -
     """The stated constants with one draw of what is not known about them."""
     z = rng.standard_normal(12)
 
-    def off(values: tuple, sd: float, first: int) -> tuple:
-        return tuple(v + sd * z[first + i] for i, v in enumerate(values))
+    def off(values: tuple[float, ...], sd: float, first: int) -> tuple[float, ...]:
+        return tuple(v + sd * float(z[first + i]) for i, v in enumerate(values))
 
     return replace(
         errors,
@@ -220,6 +221,5 @@ def _mean_abs(displacement: np.ndarray, noise: tuple[float, float]) -> float:
     mean, bias = noise
     s = max(mean * np.sqrt(np.pi / 2), 1e-9)
     mu = displacement + bias
-    return float(
-        (s * np.sqrt(2 / np.pi) * np.exp(-(mu**2) / (2 * s * s)) + mu * erf(mu / (s * np.sqrt(2)))).mean()
-    )
+    inside = error_function(mu / (s * np.sqrt(2)))
+    return float((s * np.sqrt(2 / np.pi) * np.exp(-(mu**2) / (2 * s * s)) + mu * inside).mean())

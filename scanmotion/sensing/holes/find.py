@@ -1,8 +1,9 @@
 """Holes of a scanned surface: where samples are missing, how the rim runs, which way it looks.
 
-Paper sections 3.1 and 3.2 (doi 10.3390/act14030139). Mode `paper` is literal: boundary points by the largest
-angle (45 deg, radius of the 45th neighbour), then DBSCAN. The default looks at the empty space itself (see
-`voids`): the rims of regions that hold an empty disc, miss enough samples, and lie on one sheet.
+Paper sections 3.1 and 3.2 (doi 10.3390/act14030139). `LargestAngle` is their way, literally: boundary
+points by the largest angle (45 deg, radius of the 45th neighbour), then DBSCAN. The default looks at the
+empty space itself (see `voronoi_gaps`). Its holes are the rims of regions that hold an empty disc, miss
+enough samples, and lie on one sheet.
 """
 
 from dataclasses import dataclass, field, replace
@@ -11,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from scanmotion.core.errors import HoleError
+from scanmotion.core.support.deprecation import deprecated
 from scanmotion.core.support.streams import fixed_stream
 from scanmotion.sensing.holes.boundary import check_points, check_unit, neighbour_radius
 from scanmotion.sensing.holes.loops import (
@@ -26,7 +28,7 @@ from scanmotion.sensing.holes.loops import (
 )
 from scanmotion.sensing.holes.mesh_loops import MeshLoops, mesh_loops
 from scanmotion.sensing.holes.orient import signs_by_spanning_tree
-from scanmotion.sensing.holes.paper_clusters import literal_rims
+from scanmotion.sensing.holes.paper_clusters import LargestAngle, literal_rims
 from scanmotion.sensing.holes.rims import Rim, Sampling, rims_of
 from scanmotion.sensing.holes.sampling import even_samples, prepared
 
@@ -90,7 +92,8 @@ def holes_from_cloud(
     *,
     normals: np.ndarray | None = None,
     view_directions: np.ndarray | None = None,
-    mode: Literal["default", "paper"] = "default",
+    by_angle: LargestAngle | None = None,
+    mode: str | None = None,
     radius: float | None = None,
     threshold: float | None = None,
     eps: float | None = None,
@@ -104,12 +107,12 @@ def holes_from_cloud(
         points: cloud, shape (n, 3) [m].
         normals: outward unit normals, shape (n, 3). They and the view directions only settle where out is.
         view_directions: unit vectors point -> sensor, shape (n, 3).
-        mode: "default", or "paper" for boundary points by the largest angle and DBSCAN.
-        radius: of the neighbourhood [m]; median distance to the 30th (paper: 45th) neighbour unless given.
-        threshold: largest angle of an interior point [rad]; giving it asks for the paper's way.
-        eps: distance within which boundary points are one hole [m], paper's way; 1.5 radius at 90 deg,
-            0.75 at 45 deg.
-        min_points: points that make a core of DBSCAN, paper's way; 5.
+        by_angle: the paper's search; None for the empty space itself.
+        mode: deprecated: "paper" stands for `LargestAngle()`.
+        radius: of the neighbourhood [m]; median distance to the 30th neighbour unless given.
+        threshold: deprecated: of a `LargestAngle`, as are eps and min_points.
+        eps: deprecated.
+        min_points: deprecated.
         min_size: perimeter under which a hole is tiny [m]; by default the missing samples decide.
         voxel: width of the cells in which the points are averaged first [m]; 0 for never; by default only
             where the pitch is uneven, as in overlapping range scans.
@@ -120,25 +123,22 @@ def holes_from_cloud(
     Raises:
         HoleError: fewer points than a neighbourhood needs, bad shapes, numbers that are not finite.
     """
-    if mode not in ("default", "paper"):
-        raise HoleError(f"mode must be default or paper, got {mode!r}")
-    literal = mode == "paper" or threshold is not None or eps is not None or min_points is not None
-    number = 45 if mode == "paper" else 30
+    by_angle = by_angle or _by_angle(mode, threshold, eps, min_points)
+    number = 30 if by_angle is None else by_angle.neighbours
     points = check_points(points, number + 1)
     directions = (
         None if view_directions is None else check_unit(view_directions, len(points), "view directions")
     )
     if directions is None and normals is not None:
         directions = check_unit(normals, len(points), "normals")
-    cloud = prepared(points, directions, number + 1, voxel, literal)
+    cloud = prepared(points, directions, number + 1, voxel, by_angle is not None)
     if isinstance(cloud, str):
         return _nothing(len(points), radius or 0.0, (cloud,))
     sampling, notes = cloud.sampling, cloud.notes
     if radius is None:
         radius = neighbour_radius(sampling.tree, number)
-    if literal:
-        angle = (np.pi / 4 if mode == "paper" else np.pi / 2) if threshold is None else threshold
-        rims, tiny = literal_rims(sampling, radius, angle, eps, min_points)
+    if by_angle is not None:
+        rims, tiny = literal_rims(sampling, radius, by_angle)
     else:
         rims, tiny = rims_of(sampling, averaged=cloud.averaged)
     if directions is None and (rims or tiny):
@@ -148,6 +148,24 @@ def holes_from_cloud(
     small = [i >= len(rims) if min_size is None else h.perimeter < min_size for i, h in enumerate(holes)]
     holes, small = _islands_put_in(holes, small)
     return _report(holes, small, len(points), radius, notes)
+
+
+def _by_angle(
+    mode: str | None, threshold: float | None, eps: float | None, min_points: int | None
+) -> LargestAngle | None:
+    """What the deprecated arguments ask for; None for the default."""
+    if mode not in (None, "default", "paper"):
+        raise HoleError(f"mode must be default or paper, got {mode!r}")
+    if mode is None and threshold is None and eps is None and min_points is None:
+        return None
+    deprecated("holes_from_cloud: mode, threshold, eps and min_points", "by_angle=LargestAngle(..)")
+    if mode != "paper" and threshold is None and eps is None and min_points is None:
+        return None
+    wide = LargestAngle() if mode == "paper" else LargestAngle(neighbours=30, threshold=np.pi / 2)
+    return replace(
+        wide, eps=eps, threshold=wide.threshold if threshold is None else threshold,
+        min_points=wide.min_points if min_points is None else min_points,
+    )  # fmt: skip
 
 
 def _islands_put_in(holes: list[Hole], small: list[bool]) -> tuple[list[Hole], list[bool]]:
@@ -290,7 +308,7 @@ def holes_from_mesh(
         min_vertices: a loop of fewer vertices is tiny ("loops" only).
         weld: whether vertices of equal coordinates are one; not so for a part from a file ("loops" only).
         rng: for "resample"; a fixed stream unless given.
-        options: of `holes_from_cloud`. Mode "paper" asks for "resample".
+        options: of `holes_from_cloud`; `by_angle` asks for "resample".
 
     Returns:
         As `holes_from_cloud`; `indices` and the mask refer to the mesh's vertices ("loops") and are empty
@@ -306,7 +324,7 @@ def holes_from_mesh(
     if not len(corner):
         raise HoleError("all triangles of the mesh are degenerate")
     edge = float(np.median(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2)))
-    if method == "resample" or options.get("mode") == "paper":
+    if method == "resample" or options.get("by_angle") or options.get("mode") == "paper":
         rng = fixed_stream("hole_samples") if rng is None else rng
         points, normals = even_samples(mesh.vertices, mesh.triangles, spacing or edge, rng=rng)
         report = holes_from_cloud(points, normals=normals, min_size=min_size, **options)

@@ -1,5 +1,7 @@
 """The paper's clusters (sections 3.1, 3.2): boundary points by the largest angle, then DBSCAN."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -7,30 +9,37 @@ from scanmotion.core.errors import HoleError
 from scanmotion.sensing.holes.boundary import boundary_points
 from scanmotion.sensing.holes.rims import Rim, Sampling
 
-MIN_POINTS = 5
+
+@dataclass(frozen=True, kw_only=True)
+class LargestAngle:
+    """The paper's search: a point whose neighbours leave a large angle open lies on a boundary."""
+
+    neighbours: int = 45
+    """The radius of the neighbourhood is the median distance to so many neighbours, unless it is given."""
+    threshold: float = np.pi / 4
+    """Largest angle of an interior point [rad]."""
+    eps: float | None = None
+    """DBSCAN's distance [m]; None for 1.5 radius from 90 deg on, 0.75 radius under it."""
+    min_points: int = 5
+    """DBSCAN's least number of points within eps."""
 
 
-def literal_rims(
-    sampling: Sampling, radius: float, threshold: float, eps: float | None, min_points: int | None
-) -> tuple[list[Rim], list[Rim]]:
+def literal_rims(sampling: Sampling, radius: float, angle: LargestAngle) -> tuple[list[Rim], list[Rim]]:
     """Clusters of boundary points.
 
     Args:
         sampling: of the cloud.
         radius: of the neighbourhood [m].
-        threshold: largest angle of an interior point [rad].
-        eps: DBSCAN's distance [m]; 1.5 radius from 90 deg on, 0.75 radius under it, unless given.
-        min_points: DBSCAN's least number of points within eps; 5 unless given.
+        angle: what makes a boundary, and what a cluster.
 
     Returns:
         Rims, and none that are tiny.
     """
     points = sampling.points
-    mask = boundary_points(points, sampling.normals, radius=radius, threshold=threshold)
+    mask = boundary_points(points, sampling.normals, radius=radius, threshold=angle.threshold)
     index = np.flatnonzero(mask)
-    if eps is None:
-        eps = radius * (1.5 if threshold > np.pi / 3 else 0.75)
-    label = dbscan(points[index], eps, MIN_POINTS if min_points is None else min_points)
+    eps = radius * (1.5 if angle.threshold > np.pi / 3 else 0.75) if angle.eps is None else angle.eps
+    label = dbscan(points[index], eps, angle.min_points)
     rims = [index[label == i] for i in range(int(label.max(initial=-1)) + 1)]
     return [Rim(points=rim, opening=_openings(sampling, rim), missing=np.nan) for rim in rims], []
 

@@ -149,8 +149,9 @@ def _scan_from(path: Path, name: str, entry: object, unit: float) -> MeasuredSca
 
 def _numbers(entry: object, key: str, shape: tuple[int, ...]) -> np.ndarray | None:
     """The entry's array of that shape, or None."""
+    told = entry if isinstance(entry, dict) else {}
     try:
-        value = np.array(entry[key], dtype=float)  # type: ignore[index]
+        value = np.array(told[key], dtype=float)
     except (KeyError, TypeError, ValueError):
         return None
     return value if value.shape == shape and np.isfinite(value).all() else None

@@ -21,6 +21,8 @@ from scanmotion.geometry.files.raw import NO_TRIANGLES, Polygons, RawGeometry, t
 
 _FREE_FORM = (b"curv", b"curv2", b"surf", b"cstype", b"parm")
 _IGNORED = (b"l", b"p")
+_Y_UP = ("Blender", "Maya", "ZBrush", "Cinema 4D", "Houdini", "SketchUp")
+"""Programs that turn what they write, as long as nobody tells them not to."""
 
 
 def read_obj(data: bytes) -> RawGeometry:
@@ -59,7 +61,10 @@ def read_obj(data: bytes) -> RawGeometry:
         notes.append(f"free-form surfaces ({', '.join(free)}) were left out")
     if loose := sum(strange.get(name, 0) for name in _IGNORED):
         notes.append(f"{loose} loose points and lines were left out")
-    unit = stated_unit(b"".join(comments))
+    top = b"".join(comments)
+    unit = stated_unit(top)
+    writer = next((w for w in _Y_UP if w.lower().encode() in top.lower()), "")
+    lies = f"{writer} writes OBJ with y up unless told otherwise: if it lies down, give --up +y"
     normals, columns = None, ()
     if not len(triangles):
         table = text_table(b"".join(kept[b"vn"]), 3)
@@ -68,7 +73,7 @@ def read_obj(data: bytes) -> RawGeometry:
     return RawGeometry(
         vertices=points, triangles=triangles, normals=normals, format="OBJ", columns=columns,
         notes=(*notes, *said), step=text_step(vertices[:4096], points),
-        units=unit, units_from="a comment at its top" if unit else "",
+        units=unit, units_from="a comment at its top" if unit else "", up_doubt=lies if writer else "",
     )  # fmt: skip
 
 
@@ -88,6 +93,7 @@ def _lines(block: bytes) -> dict[str, np.ndarray]:
     inside = np.cumprod(letters > 32, axis=1).astype(bool)
     letters = np.where(inside, letters, 0)
     kinds = np.char.lower(np.ascontiguousarray(letters).view("S6").ravel())
+    kinds = np.where(kinds == b"fo", b"f", kinds)  # as faces were called once
     return {"kinds": kinds, "start": start + inside.sum(axis=1), "end": end}
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from scanmotion.core.errors import PartError
 from scanmotion.geometry.files.raw import Polygons, whole_numbers
 
+VERTEX_NAMES = ("vertex", "vertices", "point", "points")
 FACE_NAMES = ("face", "faces", "polygon", "triangle")
 
 
@@ -37,7 +38,7 @@ class Element:
     @property
     def index_list(self) -> int | None:
         """Which property lists the corners of a face."""
-        lists = [i for i, p in enumerate(self.properties) if p.length]
+        lists = [i for i, p in enumerate(self.properties) if p.length and self.name not in VERTEX_NAMES]
         named = [i for i in lists if self.properties[i].name.startswith("vert")]
         if named:
             return named[0]
@@ -64,7 +65,8 @@ def lists_of(data: bytes, element: Element, at: int, order: str) -> tuple[PlyTab
     if same is not None:
         table, end = same
         if element.index_list is None:
-            return PlyTable(columns={}), end
+            scalars = {p.name: f"scalar{i}" for i, p in enumerate(element.properties) if not p.length}
+            return PlyTable(columns={name: table[field] for name, field in scalars.items()}), end
         corners = table[f"list{element.index_list}"].reshape(element.count, -1)
         corners = whole_numbers(corners)
         counts = np.full(element.count, corners.shape[1])
@@ -106,11 +108,22 @@ def _walked(data: bytes, element: Element, at: int, order: str) -> tuple[PlyTabl
     item = np.array([int(p.kind[1:]) for p in element.properties], np.int64)
     signed = np.array([p.length.startswith("i") for p in element.properties])
     which = -1 if element.index_list is None else element.index_list
-    start, counts, end = walk_rows(raw, at, element.count, length, item, signed, order == ">", which)
+
+    def walked(wanted: int) -> tuple[np.ndarray, np.ndarray, int]:
+        return walk_rows(raw, at, element.count, length, item, signed, order == ">", wanted)
+
+    start, counts, end = walked(which)
     if end < 0:
-        raise PartError("PLY file is cut short inside its faces")
+        raise PartError(f"PLY file is cut short inside its {element.name} elements")
     if which < 0:
-        return PlyTable(columns={}), end
+        wanted = range(len(item)) if element.name in VERTEX_NAMES else ()
+        columns = {}
+        for i in wanted:
+            p = element.properties[i]
+            if not p.length:
+                octets = np.ascontiguousarray(raw[walked(i)[0][:, None] + np.arange(item[i])])
+                columns[p.name] = octets.view(order + p.kind).ravel()
+        return PlyTable(columns=columns), end
     size = item[which]
     first = np.cumsum(counts) - counts
     where = np.repeat(start - first * size, counts) + size * np.arange(int(counts.sum()))

@@ -9,7 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from scanmotion.core.errors import PartError
-from scanmotion.geometry.files.formats.ply_lists import FACE_NAMES, Element, PlyTable, Property, lists_of
+from scanmotion.geometry.files.formats.ply_lists import (
+    FACE_NAMES,
+    VERTEX_NAMES,
+    Element,
+    PlyTable,
+    Property,
+    lists_of,
+)
 from scanmotion.geometry.files.formats.text import (
     lines_of,
     numbers,
@@ -33,7 +40,9 @@ _TYPES = {
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8", "int64": "i8", "uint64": "u8",
     "long": "i8", "ulong": "u8",
 }  # fmt: skip
-_VERTEX = ("vertex", "vertices", "point", "points")
+_GRIDS = ("range_grid",)
+"""Pixels of a range image that have a point or none (Stanford's scans)."""
+_PRINTABLE = bytes(range(32, 127)) + b"\t\r\n"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,10 +94,26 @@ def _header(data: bytes) -> Header:
             raise PartError(f"PLY header: unknown line {line[:40]!r}")
     if kind not in ("ascii", "binary_little_endian", "binary_big_endian"):
         raise PartError(f"PLY format {kind!r} is unknown")
+    named = [name for name, _, _ in raw]
+    if twice := [name for name in named if named.count(name) > 1]:
+        raise PartError(f"PLY header: element {twice[0]} stands twice")
     elements = tuple(_element(name, count, rows, len(data)) for name, count, rows in raw)
+    _check_kind(kind, data[start : start + 1024])
     return Header(
         kind=kind, elements=elements, comments="\n".join(comments).encode("latin-1", "replace"), start=start
     )
+
+
+def _check_kind(kind: str, sample: bytes) -> None:
+    """Refuses text that is said to be binary, and the other way round.
+
+    Raises:
+        PartError: so it is.
+    """
+    if kind == "ascii" and b"\0" in sample.rstrip(b"\0"):
+        raise PartError("PLY header says ASCII, its content is binary")
+    if kind != "ascii" and len(sample) >= 64 and not sample.translate(None, _PRINTABLE):
+        raise PartError("PLY header says binary, its content is text")
 
 
 def _element(name: str, count: int, rows: list[list[str]], size: int) -> Element:
@@ -119,13 +144,16 @@ def _element(name: str, count: int, rows: list[list[str]], size: int) -> Element
 
 def _geometry(header: Header, tables: dict[str, PlyTable], data: bytes) -> RawGeometry:
     names = {e.name: e for e in header.elements}
-    vertex = next((tables[n] for n in _VERTEX if n in tables), None)
+    vertex = next((tables[n] for n in VERTEX_NAMES if n in tables), None)
     if vertex is None or not all(axis in vertex.columns for axis in "xyz"):
         raise PartError("PLY file without vertex coordinates x, y, z")
     points = np.column_stack([vertex.columns[axis] for axis in "xyz"]).astype(float)
     pieces, notes = [], []
     for name, table in tables.items():
-        if name in _VERTEX:
+        if name in VERTEX_NAMES:
+            continue
+        if name in _GRIDS:
+            notes.append("its range grid was left aside: the points are taken as a cloud")
             continue
         if table.faces is None:
             if names[name].count and (name in FACE_NAMES or "strip" in name):
@@ -143,7 +171,7 @@ def _geometry(header: Header, tables: dict[str, PlyTable], data: bytes) -> RawGe
         if "strip" in name:
             notes.append(f"{len(table.faces.counts)} triangle strips were read as {len(made)} triangles")
     normals, columns = _normals(vertex)
-    kinds = {p.name: p.kind for e in header.elements if e.name in _VERTEX for p in e.properties}
+    kinds = {p.name: p.kind for e in header.elements if e.name in VERTEX_NAMES for p in e.properties}
     text = header.kind == "ascii"
     single = any(kinds[a] == "f4" for a in "xyz")
     step = text_step(data[header.start :], points) if text else float_step(points) if single else 0.0
@@ -223,26 +251,30 @@ def _ascii_table(block: bytes, element: Element) -> PlyTable:
             raise PartError(f"PLY {element.name} elements: {error}") from None
         rows = rows.reshape(element.count, len(element.properties))
         return PlyTable(columns={p.name: rows[:, i] for i, p in enumerate(element.properties)})
-    if element.index_list is None:
+    vertices = element.name in VERTEX_NAMES
+    if element.index_list is None and not vertices:
         return PlyTable(columns={})
     flat = numbers(block)
     words = lines_of(block).words
     words = words[words > 0]
     at = np.cumsum(words) - words
     end = at + words
+    columns = {}
     for i, p in enumerate(element.properties):
+        if (at >= end).any():
+            raise PartError(f"PLY file is cut short inside its {element.name} elements")
         if not p.length:
+            if vertices:
+                columns[p.name] = flat[at]
             at = at + 1
             continue
-        if (at >= end).any():
-            raise PartError("PLY file is cut short inside its faces")
         counts = whole_numbers(flat[at])
         if (counts < 0).any() or (at + 1 + counts > end).any():
-            raise PartError("PLY file is cut short inside its faces")
+            raise PartError(f"PLY file is cut short inside its {element.name} elements")
         if i == element.index_list:
             return PlyTable(columns={}, faces=Polygons(corners=_runs(flat, at + 1, counts), counts=counts))
         at = at + 1 + counts
-    return PlyTable(columns={})
+    return PlyTable(columns=columns)
 
 
 def _runs(flat: np.ndarray, start: np.ndarray, counts: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ import re
 import numpy as np
 
 from scanmotion.core.errors import PartError
-from scanmotion.geometry.files.formats.text import numbers, plain_text, text_blocks, text_step
+from scanmotion.geometry.files.formats.text import numbers, plain_text, stated_unit, text_blocks, text_step
 from scanmotion.geometry.files.raw import RawGeometry, checked_triangles, float_step
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -25,14 +25,15 @@ def read_stl(data: bytes) -> RawGeometry:
     """
     if _is_text(data):
         corners, notes, step = _ascii(data)
-        kind = "ASCII"
+        kind, doubts, unit = "ASCII", (), stated_unit(data[:200].split(b"\n")[0])
     else:
-        corners, notes = _binary(data)
-        step, kind = float_step(corners.reshape(-1, 3)), "binary"
+        corners, notes, doubts = _binary(data)
+        step, kind, unit = float_step(corners.reshape(-1, 3)), "binary", stated_unit(data[:80])
     vertices = corners.reshape(-1, 3)
     return RawGeometry(
         vertices=vertices, triangles=checked_triangles(np.arange(len(vertices)), len(vertices)),
-        format=f"STL, {kind}", notes=notes, step=step,
+        format=f"STL, {kind}", notes=notes, step=step, doubts=doubts, units=unit,
+        units_from="its header" if unit else "",
     )  # fmt: skip
 
 
@@ -49,17 +50,15 @@ def _is_text(data: bytes) -> bool:
     return bool(words) and (words[0] == b"solid" or b"vertex" in words) and head.count(b"\0") == 0
 
 
-def _binary(data: bytes) -> tuple[np.ndarray, tuple[str, ...]]:
+def _binary(data: bytes) -> tuple[np.ndarray, tuple[str, ...], tuple[str, ...]]:
     if len(data) < 84:
         raise PartError(f"is not an STL file: {len(data)} bytes are fewer than a header")
-    corners, notes, at = [], [], 0
+    facets, notes, at = [], [], 0
     while at + 84 <= len(data):
         count = int(np.frombuffer(data, "<u4", 1, at + 80)[0])
         room = (len(data) - at - 84) // 50
         if count in _UNTOLD and room and at == 0:
-            notes.append(
-                f"its header claims {count} triangles; the {room} that the file has room for were read"
-            )
+            notes.append(_wrong_count(count, room))
             count = room
         if count > room:
             if at:
@@ -69,13 +68,45 @@ def _binary(data: bytes) -> tuple[np.ndarray, tuple[str, ...]]:
             )
         if count == 0 and at:
             break
-        corners.append(np.frombuffer(data, _FACET, count, at + 84)["corners"].astype(float))
+        facets.append(np.frombuffer(data, _FACET, count, at + 84))
         at += 84 + 50 * count
-    if len(corners) > 1:
-        notes.append(f"{len(corners)} solids stand one after the other; all were read")
+    if len(facets) > 1:
+        notes.append(f"{len(facets)} solids stand one after the other; all were read")
+    if at < len(data) and (whole := _facets_beyond(data, facets[0])) is not None:
+        notes = [_wrong_count(len(facets[0]), len(whole))]
+        facets, at = [whole], len(data)
     if at < len(data):
         notes.append(f"{len(data) - at} bytes after the last facet were left out")
-    return np.concatenate(corners), tuple(notes)
+    table = np.concatenate(facets)
+    corners = table["corners"].astype(float)
+    return corners, tuple(notes), _against_winding(corners, table["normal"].astype(float))
+
+
+def _wrong_count(claimed: int, there: int) -> str:
+    return f"its header claims {claimed} triangles; the {there} that the file has room for were read"
+
+
+def _facets_beyond(data: bytes, known: np.ndarray) -> np.ndarray | None:
+    """All facets that the file has room for, if what follows those that are claimed are facets too."""
+    if (len(data) - 84) % 50 or not len(known):
+        return None
+    table = np.frombuffer(data, _FACET, (len(data) - 84) // 50, 84)
+    low, high = known["corners"].min(axis=(0, 1)), known["corners"].max(axis=(0, 1))
+    reach = 10.0 * float(np.max(high - low))
+    more = table["corners"][len(known) :]
+    near = np.isfinite(more).all() and (more > low - reach).all() and (more < high + reach).all()
+    return table if near and more.any() else None
+
+
+def _against_winding(corners: np.ndarray, normals: np.ndarray) -> tuple[str, ...]:
+    """What is to be said where most facet normals look against the sense of the corners."""
+    some = slice(None, None, 1 + len(corners) // 100_000)
+    a, b, c = np.moveaxis(corners[some], 1, 0)
+    agree = np.einsum("ij,ij->i", np.cross(b - a, c - a), normals[some])
+    told = np.isfinite(agree) & (agree != 0)
+    if not told.any() or (agree[told] < 0).mean() < 0.5:
+        return ()
+    return ("its facet normals look against its winding; the winding was taken",)
 
 
 def _ascii(data: bytes) -> tuple[np.ndarray, tuple[str, ...], float]:
@@ -88,14 +119,19 @@ def _ascii(data: bytes) -> tuple[np.ndarray, tuple[str, ...], float]:
     flat = np.concatenate(rows) if rows else np.zeros(0)
     if comma:
         notes.append("decimal commas were read as points")
-    if flat.size % 9:
+    ends = [m.end() for m in re.finditer(rb"endfacet|end\s+facet", text, re.IGNORECASE)]
+    rest = text[ends[-1] :].strip() if ends else b""
+    if flat.size % 9 or (rest and not re.search(rb"solid", rest, re.IGNORECASE)):
         raise PartError("STL file is cut short inside a facet")
     if not flat.size:
         raise PartError("STL file without facets")
-    ends = len(re.findall(rb"endfacet|end\s+facet", text, re.IGNORECASE))
-    if ends and ends * 9 != flat.size:
-        raise PartError(f"STL file with {ends} facets and {flat.size // 3} corners: not all are triangles")
+    if ends and len(ends) * 9 != flat.size:
+        raise PartError(
+            f"STL file with {len(ends)} facets and {flat.size // 3} corners: not all are triangles"
+        )
     solids = len(re.findall(rb"^\s*endsolid|^\s*end\s+solid", text, re.IGNORECASE | re.MULTILINE))
+    if not re.search(rb"end\s*solid", text[ends[-1] :] if ends else text, re.IGNORECASE):
+        notes.append("its last solid has no end: it may be cut short")
     if solids > 1:
         notes.append(f"{solids} solids stand in one file; all were read")
     points = flat.reshape(-1, 3)

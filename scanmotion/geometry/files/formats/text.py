@@ -18,7 +18,16 @@ UNIT_NAMES = {
     "um": "um", "micron": "um", "microns": "um", "micrometer": "um", "micrometers": "um",
     "micrometre": "um", "micrometres": "um",
 }  # fmt: skip
-_STATED = re.compile(rb"\bunits?\b\s*(?:is|are|[:=])?\s*['\"(\[]?([a-zA-Z]+)\b", re.IGNORECASE)
+_WORD = rb"([a-zA-Z]+)\b"
+_STATED = (
+    re.compile(
+        rb"\bunits?\b[ \t]*(?:is|are|[:=])?[ \t]*(?:in[ \t]+)?(?:1(?:\.0*)?[ \t]*)?['\"(\[]?" + _WORD,
+        re.IGNORECASE,
+    ),
+    re.compile(rb"\buses[ \t]+" + _WORD + rb"[ \t]+as[ \t]+units", re.IGNORECASE),
+)  # fmt: skip
+_GROUPS = re.compile(rb"(?<=\d)(?:\xc2\xa0|\xe2\x80\xaf|\xe2\x80\x89)(?=\d{3}(?:\D|$))")
+"""No-break blanks between digits by threes, as French and Swiss programs write thousands."""
 
 
 def plain_text(data: bytes) -> bytes:
@@ -32,14 +41,19 @@ def plain_text(data: bytes) -> bytes:
     data = data.removeprefix(b"\xef\xbb\xbf")
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if data.endswith(b"\0"):
+        data = data.rstrip(b"\0")  # disks fill the rest of a block so
+    if b"\xe2\x80" in data or b"\xc2\xa0" in data:
+        data = _GROUPS.sub(b"", data)
     return data.replace(b"\xc2\xa0", b" ").replace(b"\x1a", b"")
 
 
 def stated_unit(comments: bytes) -> str:
     """The unit that comments state ("units: mm"), or ""."""
-    for word in _STATED.findall(comments):
-        if (unit := UNIT_NAMES.get(word.decode("ascii").lower())) is not None:
-            return unit
+    for pattern in _STATED:
+        for word in pattern.findall(comments):
+            if (unit := UNIT_NAMES.get(word.decode("ascii").lower())) is not None:
+                return unit
     return ""
 
 

@@ -17,7 +17,7 @@ def walk_rows(raw, at, rows, length, item, signed, big, which):
         item: bytes of each property's values, (p,).
         signed: whether the length is signed, (p,).
         big: whether the most significant byte comes first.
-        which: property whose list is wanted; -1 for none.
+        which: property whose list, or whose value, is wanted; -1 for none.
 
     Returns:
         Starts (rows,), lengths (rows,), and the end; -1 where the file ends before.
@@ -37,9 +37,9 @@ def walk_rows(raw, at, rows, length, item, signed, big, which):
                 if n < 0 or n > len(raw) or (signed[p] and length[p] < 8 and n >= 1 << (8 * length[p] - 1)):
                     return start, counts, -1
                 at += length[p]
-                if p == which:
-                    start[row] = at
-                    counts[row] = n
+            if p == which:
+                start[row] = at
+                counts[row] = n
             at += n * item[p]
             if at > len(raw):
                 return start, counts, -1
