@@ -2,9 +2,10 @@
 
 Each case is planned by a process of its own with the command line, so imports and pages count. Told are the
 processor seconds, the cores used (processor by wall seconds) and the peak of memory of the whole, and
-processor and wall seconds of each stage. Every case is preceded by a reference computation (sorting and a product of
-matrices, one thread); its processor time is told as a ratio to that: a slowdown is seen on any machine and
-under any load, where seconds alone say nothing. `trip.txt` beside this file is the stored baseline.
+processor and wall seconds of each stage. Every case is preceded by a reference computation (sorting and a
+product of matrices, one thread); its processor time is told as a ratio to that: a slowdown is seen on any
+machine and under any load, where seconds alone say nothing. `trip.txt` beside this file is the stored
+baseline.
 
     python benchmarks/trip.py --case help --case box                     compared with trip.txt
     python benchmarks/trip.py --case carving --against mine.txt --most 1.2
