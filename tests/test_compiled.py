@@ -52,7 +52,7 @@ def test_the_list_is_read_as_it_is_written(tmp_path, monkeypatch):
     [
         "(int64, float64, bool)",
         "(Array(float64, 2, 'C', False, aligned=True), Array(uint64, 1, 'A', True, aligned=True))",
-        "(Tuple(Array(float64, 3, 'C', False, aligned=True), UniTuple(int64, 2), float64),)",
+        "(Tuple((Array(float64, 3, 'C', False, aligned=True), UniTuple(int64, 2), float64)),)",
     ],
 )
 def test_kinds_are_told_as_numba_tells_them(kinds):

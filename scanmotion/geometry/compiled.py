@@ -52,7 +52,7 @@ def arguments_from(kinds: str) -> tuple[Any, ...]:
     from numba import types
 
     names = {name: getattr(types, name) for name in dir(types)}
-    names |= {"Tuple": lambda *items: types.Tuple(items), "bool": types.boolean, "__builtins__": {}}
+    names |= {"bool": types.boolean, "__builtins__": {}}
     return tuple(eval(kinds, names))  # our own file
 
 
