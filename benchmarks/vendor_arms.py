@@ -81,8 +81,8 @@ def know_packages(known: dict[str, Path]) -> None:
     sys.modules |= {"ament_index_python": top, "ament_index_python.packages": inner}
 
 
-def expanded(folder: Path, known: dict[str, Path]) -> list[tuple[str, Path]]:
-    """(maker's repository, URDF) of every robot under `folder`."""
+def expanded(folder: Path, known: dict[str, Path], only: list[str]) -> list[tuple[str, Path]]:
+    """(maker's repository, URDF) of every robot under `folder` whose name is asked for."""
     import xacro
 
     know_packages(known)
@@ -103,6 +103,8 @@ def expanded(folder: Path, known: dict[str, Path]) -> list[tuple[str, Path]]:
             for kind in kinds:
                 name = kind or re.sub(r"(\.urdf)?(\.xacro)?$", "", file.name)
                 target = out / f"{repository.name.replace('+', '_')}__{name}.urdf"
+                if only and not any(re.search(word, target.stem) for word in only):
+                    continue
                 if not target.is_file():
                     try:
                         target.write_text(_expanded(xacro, file, kind))
@@ -254,7 +256,7 @@ def table(rows: list[Row]) -> str:
 def main() -> int:
     asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     asked.add_argument("folder", type=Path)
-    asked.add_argument("--only", nargs="*", default=[], help="names that hold one of these words")
+    asked.add_argument("--only", nargs="*", default=[], help="regular expressions of names")
     asked.add_argument("--plan", nargs="*", default=["none"], help="all, none, or names")
     asked.add_argument("--box", nargs=3, default=["330", "200", "600"])
     asked.add_argument("--configurations", type=int, default=200)
@@ -262,9 +264,7 @@ def main() -> int:
     folder = given.folder.resolve()
     known = packages_in(folder)
     rows = []
-    for repository, file in expanded(folder, known):
-        if given.only and not any(word in file.stem for word in given.only):
-            continue
+    for repository, file in expanded(folder, known, given.only):
         wanted = sorted(set(re.findall(r"package://([^/]+)/", file.read_text(errors="replace"))) & set(known))
         folders = tuple(str(known[name]) for name in wanted)
         row, yaml = read_one(repository, file, folders, given.configurations)

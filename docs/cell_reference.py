@@ -31,6 +31,18 @@ obstacles:
 process: {clearance_m: 0.05, budget_s: 120}
 ```
 
+Fixture, scanner housing and obstacles may be meshes of the cell's CAD, each with its unit:
+
+```yaml
+tool: {housing_mesh: scanner.stl, fixture_mesh: v-fixture.stl, mesh_unit: mm}
+obstacles:
+  - {name: cabinet, mesh: cabinet.stl, unit: mm, position_m: [-1.5, 0.0, 0.0], yaw_deg: 90}
+```
+
+Planner and Drake keep clear of convex pieces that hold each separate body of the file; the judge looks at its
+triangles, which stand in the plan's folder. What is closed round a hollow in one piece, such as a fence of
+one body round the cell, counts as filled: give it panel by panel, or as separate bodies.
+
 ## Choosing a scanner
 
 The default is the paper's scanner (0.4 to 1 m). Another one is named:

@@ -49,7 +49,7 @@ def missed(file, folder, tmp_path, count, seed, language):
         n += 1
         path = tmp_path / (others[n // 9 % len(others)] if others and n % 9 == 0 else file.name)
         data = path.read_bytes()
-        made = mutated(data.decode().split("\r\n"), KINDS[n % len(KINDS)], rng, language)
+        made = mutated(data.decode().replace("\r\n", "\n").split("\n"), KINDS[n % len(KINDS)], rng, language)
         if made is None:
             continue
         tried += 1

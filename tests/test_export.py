@@ -75,8 +75,8 @@ def digests(folder):
 # --- all formats ----------------------------------------------------------------------------------
 
 
-# RAPID is for arms that turn as ABB's do: tests/test_programme_rapid.py.
-HERE = [to for to in FORMATS if to != "rapid"]
+# RAPID and URScript are for arms that turn as theirs do: tests/test_programme_rapid.py, _urscript.py.
+HERE = [to for to in FORMATS if to not in ("rapid", "urscript")]
 
 
 @pytest.mark.parametrize("to", HERE)
@@ -104,7 +104,7 @@ def test_the_command_line_says_what_it_wrote(to, folder, tmp_path):
 @pytest.mark.parametrize(
     "args, word",
     [
-        (["--to", "step"], "csv, json, viewpoints, krl, krl-timed, rapid, ros, mcap"),
+        (["--to", "step"], "csv, json, viewpoints, krl, krl-timed, rapid, urscript, ros, mcap"),
         (["--to", "csv", "--name", "../evil"], "--name"),
         (["--to", "json", "--name", "plan"], "plan.json"),
         (["--to", "json", "--name", "TRAJECTORY"], "TRAJECTORY.json"),
@@ -471,16 +471,20 @@ def test_spline_knots_keep_their_distances():
 
 
 def test_commands_of_the_page_run(folder, tmp_path, monkeypatch):
-    """All but `plan`, whose folder is there already."""
+    """All but `plan`, whose folder is there already, in the page's order: what is broken off is taken up."""
     page = Path(__file__).resolve().parents[1] / "docs" / "exports.md"
-    lines = [x for x in page.read_text().splitlines() if x.startswith("scanmotion export ")]
-    assert {x.split()[4] for x in lines if "--rest" not in x} == set(HERE)
+    known = ("scanmotion export ", "scanmotion run ", "scanmotion verify rest")
+    lines = [x for x in page.read_text().splitlines() if x.startswith(known)]
+    assert {x.split()[4] for x in lines if " export " in x and "--rest" not in x} == set(HERE)
+    assert sum("--rest" in x for x in lines) == 1
     shutil.copytree(folder, tmp_path / "statue")
     monkeypatch.chdir(tmp_path)
     for line in lines:
-        result = CliRunner().invoke(app, line.split()[1:])
-        # What is left of a plan of which nothing was executed is refused in one line.
-        assert result.exit_code == (2 if "--rest" in line else 0), result.output
+        more = ["--no-dynamics"] if " run " in line else []
+        result = CliRunner().invoke(app, [*line.split()[1:], *more])
+        # A run that loses its power says so by its status.
+        assert result.exit_code == (1 if "--stop-at" in line else 0), (line, result.output)
+    assert (tmp_path / "rest" / "scan.src").is_file()
 
 
 def test_the_page_names_every_column_and_topic():

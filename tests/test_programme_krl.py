@@ -7,7 +7,6 @@ import shutil
 import numpy as np
 import pytest
 from exported_plan import SPEED, made_by_hand
-from mutations import KINDS, mutated
 from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
@@ -230,56 +229,3 @@ def test_a_wrong_load_is_found(files, folder, tmp_path):
     data.write_bytes(data.read_bytes().replace(b"{M 5.000", b"{M 50.00"))
     found = verify_programme(bad, folder, clearance=False).findings
     assert [f.where for f in found] == ["load"]
-
-
-def survivors(file, folder, tmp_path, count, seed):
-    """Mutated programmes in which nothing was found: the words on them, and their runs."""
-    for name in file.parent.iterdir():
-        shutil.copy(name, tmp_path / name.name)
-    rng, found, tried = np.random.default_rng(seed), [], 0
-    while tried < count:
-        path = tmp_path / (f"{file.stem}.dat" if tried % 9 == 0 else file.name)
-        data = path.read_bytes()
-        made = mutated(data.decode().split("\r\n"), KINDS[tried % len(KINDS)], rng)
-        if made is None:
-            continue
-        tried += 1
-        path.write_bytes("\r\n".join(made[0]).encode())
-        try:
-            if not verify_programme(tmp_path / file.name, folder, clearance=False).findings:
-                controller = controller_from(tmp_path / file.name, folder)
-                run, _ = controller.run(ScriptedScanner(signals=controller.signals))
-                found.append((made[1], run))
-        except PlanFileError:
-            pass
-        path.write_bytes(data)
-    return found
-
-
-def harmless(run, good):
-    """Within 0.3 deg of the good programme's path, the same outputs in the same order, frame for frame."""
-    tree = cKDTree(good.q[::1])
-    outputs = [[(e.number, e.on) for e in r.said("output")] for r in (run, good)]
-    return (
-        run.ended
-        and tree.query(run.q, p=np.inf)[0].max() < 0.7
-        and outputs[0] == outputs[1]
-        and abs(len(run.said("pulse")) - len(good.said("pulse"))) <= 3
-        and abs(run.t[-1] - good.t[-1]) < 0.01 * good.t[-1] + 1.5
-    )
-
-
-@pytest.mark.parametrize("to, count", [("krl-timed", 40), ("krl", 15)])
-def test_mutated_programmes_are_found_or_harmless(to, count, files, folder, good, tmp_path):
-    left = survivors(files[to], folder, tmp_path, count, 3)
-    assert len(left) < count / 2
-    assert all(harmless(run, good[to][1]) for _, run in left), [text for text, _ in left]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("to", MANNERS)
-def test_five_hundred_mutated_programmes_are_found_or_harmless(to, files, folder, good, tmp_path):
-    left = survivors(files[to], folder, tmp_path, 250, 11)
-    bad = [text for text, run in left if not harmless(run, good[to][1])]
-    assert bad == []
-    assert len(left) < 80

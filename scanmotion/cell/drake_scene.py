@@ -23,7 +23,9 @@ from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 
 from scanmotion.cell.arm.robot import Body, Robot
 from scanmotion.cell.arm.robot_file import write_arm
+from scanmotion.cell.arm.urdf import obj_text
 from scanmotion.cell.collision.pairs import exempt_pairs, on_floor
+from scanmotion.cell.collision.shapes import hull_of
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 
 # Drake tells of every port it opens and every context it allocates; warnings still come through. Who wants
@@ -34,16 +36,22 @@ _COLOURS = {"scanner": "0.15 0.16 0.18 1", "table": "0.72 0.73 0.75 1", "floor":
 _GREY = "0.45 0.46 0.48 1"
 
 
-def _urdf_of(name: str, bodies: list[Body], *, mass: float, collide: bool) -> str:
-    """One rigid link that carries `bodies`, as URDF text."""
+def _urdf_of(name: str, bodies: list[Body], pieces: Path, *, mass: float, collide: bool) -> str:
+    """One rigid link that carries `bodies`, as URDF text; pieces of meshes are written into a folder."""
     inertia = " ".join(f'{k}="{0.01 * mass if k in ("ixx", "iyy", "izz") else 0}"' for k in _INERTIA)
-    out = [f'<robot name="{name}"><link name="{name}">']
+    space = 'xmlns:drake="https://drake.mit.edu"'
+    out = [f'<robot name="{name}" {space}><link name="{name}">']
     out += [f'<inertial><mass value="{mass}"/><inertia {inertia}/></inertial>']
     for body in bodies:
         rpy = _roll_pitch_yaw(body.X_LG)
         origin = f'<origin xyz="{_text(body.X_LG[:3, 3])}" rpy="{_text(rpy)}"/>'
         if body.shape == "box":
             shape = f'<geometry><box size="{_text(body.size)}"/></geometry>'
+        elif body.shape == "hull":
+            file = pieces / f"{name}_{len(out)}.obj"
+            file.write_bytes(obj_text(hull_of(body)))
+            mesh = f'<mesh filename="{file.as_uri()}"><drake:declare_convex/></mesh>'
+            shape = f"<geometry>{mesh}</geometry>"
         else:
             shape = f'<geometry><cylinder radius="{body.size[0]!r}" length="{body.size[1]!r}"/></geometry>'
         colour = _COLOURS.get(body.name, _GREY)
@@ -79,14 +87,15 @@ def write_models(cell: Cell, folder: Path) -> Path:
     """
     of = {k: [b for b in cell.bodies if b.link == k] for k in (TOOL, TABLE, WORLD)}
     mass = cell.settings.tool.mass_kg
-    (folder / "tool.urdf").write_text(_urdf_of("tool", of[TOOL], mass=mass, collide=True))
-    (folder / "stand.urdf").write_text(_urdf_of("stand", of[TABLE], mass=1.0, collide=True))
+    pieces = _pieces_folder(cell)
+    (folder / "tool.urdf").write_text(_urdf_of("tool", of[TOOL], pieces, mass=mass, collide=True))
+    (folder / "stand.urdf").write_text(_urdf_of("stand", of[TABLE], pieces, mass=1.0, collide=True))
     # The floor is a body of its own: base and link 1 are judged against obstacles, but not against it.
     for name, solids in (
         ("floor", [b for b in of[WORLD] if b.name == "floor"]),
         ("surroundings", [b for b in of[WORLD] if b.name != "floor"]),
     ):
-        (folder / f"{name}.urdf").write_text(_urdf_of(name, solids, mass=1.0, collide=True))
+        (folder / f"{name}.urdf").write_text(_urdf_of(name, solids, pieces, mass=1.0, collide=True))
     joint = (
         '<robot name="turntable"><link name="turntable_base"/><link name="turntable">'
         '<inertial><mass value="100"/>'
@@ -122,6 +131,16 @@ def write_models(cell: Cell, folder: Path) -> Path:
 
 
 _ARMS: WeakKeyDictionary[Robot, Any] = WeakKeyDictionary()
+
+
+_PIECES: WeakKeyDictionary[Cell, Any] = WeakKeyDictionary()
+
+
+def _pieces_folder(cell: Cell) -> Path:
+    """Where the pieces of the cell's meshes lie; Drake makes hulls and pictures of them later on."""
+    if cell not in _PIECES:
+        _PIECES[cell] = tempfile.TemporaryDirectory()
+    return Path(_PIECES[cell].name)
 
 
 def _arm_folder(robot: Robot) -> Path:

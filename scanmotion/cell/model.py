@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scanmotion.cell.arm.robot import Body, Robot
+from scanmotion.cell.mesh_solids import MeshSolid
 from scanmotion.cell.settings.cell import CellSettings
 from scanmotion.core.part import Part
 
@@ -46,6 +47,8 @@ class Cell:
     """Where a programme starts, shape (7,) [rad]."""
     bodies: tuple[Body, ...]
     """Every solid but the part: links, tool, table, pedestal, floor and obstacles."""
+    meshes: tuple[MeshSolid, ...] = ()
+    """Those of the cell that are meshes; their convex pieces are among the bodies."""
 
     def drake(self, **options: Any) -> "DrakeModel":
         """The cell as a Drake diagram with plant, scene graph, context, part and drives.

@@ -1,12 +1,13 @@
 """Arm and table in Drake's Simulator behind position control: how far they lag behind what they are told.
 
-Assumptions: rigid links with the masses of the URDF, gravity balanced, each joint under computed torque of
-the bandwidth stated below; friction, elasticity, dead time and the drives' limits are left out.
+Assumptions: nothing touches; rigid links with the masses of the URDF, gravity balanced, each joint under
+computed torque of the bandwidth stated below; friction, elasticity, dead time and drives' limits left out.
 """
 
 from typing import Any
 
 import numpy as np
+from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Role
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.controllers import InverseDynamicsController
@@ -34,13 +35,16 @@ def tracked(cell: Cell, t: np.ndarray, q: np.ndarray) -> np.ndarray:
         shape (n, 7) [rad].
     """
     builder = DiagramBuilder()
-    plant, _ = AddMultibodyPlantSceneGraph(builder, STEP_S)
+    plant, scene = AddMultibodyPlantSceneGraph(builder, STEP_S)
     add_cell(plant, cell)
     if plant.num_actuators() == 0:
         for name in cell.joint_names:
             plant.AddJointActuator(f"drive_{name}", plant.GetJointByName(name))
     plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
     plant.Finalize()
+    # The judge tells what touches what; here neighbours whose shapes overlap must not push one another.
+    solids = GeometrySet(scene.model_inspector().GetAllGeometryIds(Role.kProximity))
+    scene.collision_filter_manager().Apply(CollisionFilterDeclaration().ExcludeWithin(solids))
     order = [plant.GetJointByName(name).position_start() for name in cell.joint_names]
     asked = np.zeros_like(q)
     asked[:, order] = q

@@ -20,11 +20,12 @@ _WRITERS = {
     "krl": "krl.programme.classic_files",
     "krl-timed": "krl.programme.timed_files",
     "rapid": "rapid.rapid_files",
+    "urscript": "urscript.programme.urscript_files",
     "ros": "ros.yaml_files",
     "mcap": "ros.bag_files",
 }
 FORMATS = tuple(_WRITERS)
-PROGRAMMES = ("krl", "krl-timed", "rapid")
+PROGRAMMES = ("krl", "krl-timed", "rapid", "urscript")
 """Formats that a robot's controller runs."""
 
 

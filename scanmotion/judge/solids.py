@@ -83,8 +83,12 @@ def solids_of(folder: Path, record: PlanRecord, arm: UrdfArm) -> list[Solid]:
             )
         )  # fmt: skip
     for body in record.bodies:
-        shape, half = _primitive(body.shape, body.size_m)
         X, group = np.array(body.X), TOOL if body.frame == "flange" else STILL
+        if body.shape == "mesh":
+            shape, half, middle = _mesh(folder, body.file, np.array(body.size_m))
+            X = X @ _shifted(middle)
+        else:
+            shape, half = _primitive(body.shape, body.size_m)
         if body.frame == "table":
             X = np.array(record.X_WT) @ X
         out.append(Solid(name=body.name, group=group, shape=shape, half=half, X_CG=X))

@@ -73,11 +73,21 @@ class BodyRecord(_Record):
 
     name: str = Field(max_length=100)
     frame: Literal["flange", "table", "world"]
-    shape: Literal["box", "cylinder"]
+    shape: Literal["box", "cylinder", "mesh"]
     size_m: tuple[float, ...] = Field(min_length=2, max_length=3)
+    """Sides of a box, radius and length of a cylinder, metres to a mesh's unit along x, y and z."""
     X: Pose
+    file: str = Field("", max_length=100)
+    """The mesh's file in the plan's folder."""
 
     _pose = field_validator("X")(_rigid)
+
+    @field_validator("file")
+    @classmethod
+    def _plain(cls, name: str) -> str:
+        if name and (not PLAIN_NAME.fullmatch(name) or ".." in name):
+            raise ValueError("is not a plain file name inside the plan's folder")
+        return name
 
 
 class LimitsRecord(_Record):

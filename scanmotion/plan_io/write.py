@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from scanmotion import __version__
+from scanmotion.cell.own_solids import in_folder
 from scanmotion.core.errors import InputError
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Viewpoint
@@ -48,7 +49,8 @@ def plan_files(plan: Plan) -> dict[str, bytes | str]:
         "robot.urdf": plan.cell.robot.record,
         **plan.cell.robot.meshes,
         "part.ply": ply_data(solid.vertices, triangles=solid.triangles, double=True),
-        "cell.json": plan.cell.settings.model_dump_json(indent=1) + "\n",
+        **{mesh.file: mesh.data for mesh in plan.cell.meshes},
+        "cell.json": in_folder(plan.cell.settings, plan.cell.meshes).model_dump_json(indent=1) + "\n",
         "holes.json": json_text({"units": "m", "holes": hole_records(plan)}),
         "scan.npz": arrays_data(plan),
         **frame_files(cycle, plan.viewpoints, plan.cell),
@@ -90,7 +92,13 @@ def plan_record(plan: Plan) -> PlanRecord:
                     "name": b.name, "frame": frames[b.link], "shape": b.shape, "size_m": b.size,
                     "X": b.X_LG.tolist(),
                 }
-                for b in cell.bodies if b.link in frames
+                for b in cell.bodies if b.link in frames and not b.mesh
+            ] + [
+                {
+                    "name": m.name, "frame": frames[m.link], "shape": "mesh", "size_m": (m.scale,) * 3,
+                    "X": m.X_LM.tolist(), "file": m.file,
+                }
+                for m in cell.meshes
             ],
             "urdf_file": "robot.urdf", "part_file": "part.ply", "cell_file": "cell.json",
             "viewpoints": [_view_record(v, solvers.get(v.id, "")) for v in plan.viewpoints],

@@ -31,6 +31,8 @@ class Body:
     """Whether the carrier hangs by a side branch: before the base, on any link, past the flange."""
     points: np.ndarray | None = None
     """Corners of a hull in its own frame, shape (n, 3) [m]."""
+    mesh: str = ""
+    """Mesh of the cell that it is a piece of."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

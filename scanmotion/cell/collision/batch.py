@@ -100,8 +100,9 @@ def _at_most(p, floor, cos, sin, world, grid):
     for k in range(len(cylinders)):
         d = min(d, _cylinder(p[0], p[1], p[2], cylinders[k]))
     for k in range(len(blocks)):
-        if k > 0 or floor:
-            d = min(d, _box(p[0], p[1], p[2], blocks[k, :12], blocks[k, 12:]))
+        # A box about a piece of a mesh says nothing of what is nearer than it.
+        if (k > 0 or floor) and blocks[k, 15] > 0.0:
+            d = min(d, _box(p[0], p[1], p[2], blocks[k, :12], blocks[k, 12:15]))
     return d
 
 

@@ -112,7 +112,7 @@ def _bounding(spheres: np.ndarray) -> np.ndarray:
 
 
 def _world_arrays(cell: Cell) -> tuple[np.ndarray, np.ndarray]:
-    """Cylinders (x, y, z, radius, half length) and boxes (pose inverse and half sides) in W."""
+    """Cylinders (x, y, z, radius, half length) and boxes (pose inverse, half sides, 1 where exact) in W."""
     cylinders, boxes = [], []
     for body in cell.bodies:
         if body.link not in (TABLE, WORLD):
@@ -121,8 +121,9 @@ def _world_arrays(cell: Cell) -> tuple[np.ndarray, np.ndarray]:
         if body.shape == "cylinder":
             cylinders.append([*X_WG[:3, 3], body.size[0], body.size[1] / 2])
         else:
-            boxes.append(np.concatenate([np.linalg.inv(X_WG)[:3].ravel(), box_of(body)]))
-    return np.array(cylinders).reshape(-1, 5), np.array(boxes).reshape(-1, 15)
+            exact = [float(body.shape == "box")]
+            boxes.append(np.concatenate([np.linalg.inv(X_WG)[:3].ravel(), box_of(body), exact]))
+    return np.array(cylinders).reshape(-1, 5), np.array(boxes).reshape(-1, 16)
 
 
 def signed_distance_grid(part: Part, spacing: float = GRID_M) -> tuple[np.ndarray, np.ndarray]:
@@ -240,7 +241,7 @@ def _outside(px, py, pz, floor, cos, sin, world, grid):
         d = min(d, _cylinder(px, py, pz, cylinders[n]))
     for n in range(len(boxes)):
         if n > 0 or floor:
-            d = min(d, _box(px, py, pz, boxes[n, :12], boxes[n, 12:]))
+            d = min(d, _box(px, py, pz, boxes[n, :12], boxes[n, 12:15]))
     return min(d, _part(px, py, pz, cos, sin, grid)) - clearance
 
 

@@ -12,13 +12,13 @@ from scanmotion.cell.settings.errors import (
     CalibrationSettings,
     Number,
     Settings,
-    Side,
     TwinSettings,
     UncertaintySettings,
 )
-from scanmotion.cell.settings.poses import RigidPose, differs
+from scanmotion.cell.settings.poses import RigidPose
 from scanmotion.cell.settings.programme import ProgrammeSettings
 from scanmotion.cell.settings.scanner_presets import with_scanner_preset
+from scanmotion.cell.settings.solids import ObstacleSettings, ToolSettings
 from scanmotion.core.errors import CellError
 from scanmotion.core.scanner import MATERIALS, Scanner
 from scanmotion.geometry.parts.make_part import models_dir
@@ -76,34 +76,6 @@ class BaseSettings(Settings):
         return self
 
 
-class ToolSettings(Settings):
-    """V-fixture and scanner on the flange."""
-
-    arm_m: Number = Field(0.25, ge=0.0, le=2.0, description="flange to scanner along the flange axis")
-    offset_m: Number = Field(0.0, ge=-1.0, le=1.0, description="scanner off the flange axis, along flange x")
-    tilt_deg: Number = Field(
-        45.0, ge=-180.0, le=180.0, description="optical axis against the flange axis, about flange y"
-    )
-    roll_deg: Number = Field(0.0, ge=-180.0, le=180.0, description="scanner turned about its optical axis")
-    mass_kg: Number = Field(5.0, gt=0.0, le=1000.0, description="fixture and scanner together")
-    X_FS: RigidPose = Field(
-        None,
-        description="scanner in the flange (z outward) as calibrated, in place of the four: rows, metres",
-    )
-    plate_m: Number = Field(0.16, gt=0.0, le=1.0, description="diameter of the fixture's plate on the flange")
-    scanner_size_m: tuple[Number, Number, Number] = Field(
-        (0.262, 0.158, 0.063), description="housing along x, y, z of the scanner"
-    )
-
-    @model_validator(mode="after")
-    def _one_way(self) -> "ToolSettings":
-        if self.X_FS is not None and differs(self, "arm_m", "offset_m", "tilt_deg", "roll_deg"):
-            raise ValueError(
-                "X_FS stands in place of arm_m, offset_m, tilt_deg and roll_deg; write the one or the others"
-            )
-        return self
-
-
 class TurntableSettings(Settings):
     """The table: seventh axis E1."""
 
@@ -123,15 +95,6 @@ class PedestalSettings(Settings):
 
     height_m: Number = Field(0.0, ge=0.0, le=2.0, description="above the table; 0 for none")
     diameter_m: Number = Field(0.3, gt=0.0, le=5.0, description="it is round")
-
-
-class ObstacleSettings(Settings):
-    """A box that stands in the cell."""
-
-    name: str = Field(pattern=r"^[\w .-]{1,60}$", description="what findings and causes call it")
-    centre_m: tuple[Number, Number, Number] = Field(description="of the box, in the world")
-    size_m: tuple[Side, Side, Side] = Field(description="along its own x, y and z")
-    yaw_deg: Number = Field(0.0, description="turn of the box about the vertical")
 
 
 class ScannerSettings(Settings):
@@ -357,9 +320,10 @@ def _message(first: Any, key: str, data: dict) -> str:
     return " ".join(text.split())
 
 
-_OBSTACLE = """# Boxes that stand in the cell, for instance
+_OBSTACLE = """# Boxes that stand in the cell, and meshes from its CAD (STL, OBJ, PLY, DAE), for instance
 # obstacles:
-#   - {name: pillar, centre_m: [1.2, 1.4, 1.5], size_m: [0.3, 0.3, 3.0], yaw_deg: 20}"""
+#   - {name: pillar, centre_m: [1.2, 1.4, 1.5], size_m: [0.3, 0.3, 3.0], yaw_deg: 20}
+#   - {name: cabinet, mesh: cabinet.stl, unit: mm, position_m: [-1.5, 0.0, 0.0], yaw_deg: 90}"""
 
 
 def cell_template(name: str = "kr240") -> str:

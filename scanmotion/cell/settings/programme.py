@@ -42,6 +42,7 @@ class ProgrammeSettings(BaseModel):
     )
     step_bits: int = Field(10, ge=1, le=16, strict=True, description="width of that word")
     table_ready_in: Signal = Field(36, description="input: a table with a programme of its own is ready")
+    table_fault_in: Signal = Field(37, description="input: that drive has a fault; the arm stops")
     table_start_out: Signal = Field(35, description="output: that drive starts its next step")
     ready_timeout_s: Number = Field(10.0, gt=0.0, le=600.0, description="the scanner has to be ready within")
     done_timeout_s: Number = Field(10.0, gt=0.0, le=600.0, description="the scanner has to be done within")
@@ -55,7 +56,7 @@ class ProgrammeSettings(BaseModel):
     @model_validator(mode="after")
     def _distinct(self) -> "ProgrammeSettings":
         word = set(range(self.step_out, self.step_out + self.step_bits)) if self.step_out else set()
-        for names in (("ready_in", "done_in", "fault_in", "frame_in", "table_ready_in"),
+        for names in (("ready_in", "done_in", "fault_in", "frame_in", "table_ready_in", "table_fault_in"),
                       ("start_out", "frame_out", "table_start_out")):  # fmt: skip
             used = [n for n in (getattr(self, name) for name in names) if n]
             if len(set(used)) < len(used):

@@ -170,7 +170,7 @@ def _rest_folder(folder: Path, out: Path | None, step: int | None, at: str | Non
 def export(
     folder: Folder,
     to: Annotated[
-        str, typer.Option("--to", help="csv, json, viewpoints, krl, krl-timed, rapid, ros or mcap.")
+        str, typer.Option("--to", help="csv, json, viewpoints, krl, krl-timed, rapid, urscript, ros or mcap.")
     ],
     out: Annotated[
         Path | None,

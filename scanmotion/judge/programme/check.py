@@ -22,7 +22,7 @@ from scanmotion.judge.programme.controller import (
     driven_trajectory,
     with_clearance,
 )
-from scanmotion.judge.programme.motions import pose_of
+from scanmotion.judge.programme.frames_and_load import frames_and_load
 from scanmotion.judge.programme.world import Run, ScriptedScanner
 from scanmotion.judge.views import judge_viewpoints
 
@@ -74,7 +74,9 @@ def verify_programme(
     if not run.ended:
         text = (run.said("say") or run.said("halt"))[-1].text if run.said("halt") else "the programme stops"
         findings.insert(0, Finding(code="order", message=f"it does not come to its end: {text}"))
-    findings += _signals(controller, run) + _tool(controller, system) + _log(controller, run, system)
+    findings += (
+        _signals(controller, run) + frames_and_load(controller, run, system) + _log(controller, run, system)
+    )
     findings += _motion(controller, run, found, clearance, progress)
     if not findings and not controller.dry:
         findings += bad_circumstances(controller)
@@ -117,7 +119,7 @@ def _signals(controller: Controller, run: Run) -> list[Finding]:
             findings.append(Finding(code="order", message=text))
     allowed = {
         s.start_out,
-        s.table_start_out,
+        *([s.table_start_out] if controller.programme.language == "urscript" else []),
         *range(s.step_out, s.step_out + s.step_bits * bool(s.step_out)),
     }
     strange = sorted({e.number for e in run.said("output")} - allowed)
@@ -160,40 +162,6 @@ def _log(controller: Controller, run: Run, system: dict[Any, Any]) -> list[Findi
     ):
         return []
     return [Finding(code="order", message=f"the log has {len(times)} of {len(pulses)} frames", where="log")]
-
-
-def _tool(controller: Controller, system: dict[Any, Any]) -> list[Finding]:
-    """The frames and the load that the programme gives to the controller."""
-    if controller.programme.language != "krl":
-        return []
-    findings, s = [], controller.signals
-    tool = system.get(("TOOL_DATA", s.tool_number, ""))
-    load = system.get(("LOAD_DATA", s.tool_number, ""))
-    base = system.get(("BASE_DATA", s.base_number, ""))
-    if tool is None or load is None:
-        return [Finding(code="limits", message="tool, base or load are not set", where="tool")]
-    try:
-        if np.abs(pose_of(tool) - np.array(controller.record.X_FS)).max() > 1e-5:
-            findings.append(
-                Finding(code="limits", message="the tool's frame is not the scanner's", where="tool")
-            )
-        if tool is not system["$TOOL", None, ""]:
-            findings.append(Finding(code="limits", message="another tool is active", where="tool"))
-        if base is not system["$BASE", None, ""] or base is not system["$ROBROOT", None, ""]:
-            findings.append(Finding(code="limits", message="the base is not the robot's", where="base"))
-        centre = s.centre_of_mass_m or tuple(np.array(controller.record.X_FS)[:3, 3] / 2)
-        told = [load["CM"][k] * 1e-3 for k in "XYZ"]
-        if abs(load["M"] - controller.mass) > 1e-3 or np.abs(np.subtract(told, centre)).max() > 1e-4:
-            text = f"the load is {load['M']} kg at {told}, the cell's tool {controller.mass} kg at {centre}"
-            findings.append(Finding(code="limits", message=text, where="load"))
-        half = np.array(controller.record.X_FS)[:3, 3] / 2
-        most = 4 * controller.mass * max(float(half @ half), 0.02**2)
-        if not all(0 <= load["J"][k] <= most for k in "XYZ") or any(load["CM"][k] for k in "ABC"):
-            text = f"the load's inertia {load['J']} kg m2 is none of {controller.mass} kg within the fixture"
-            findings.append(Finding(code="limits", message=text, where="load"))
-    except (TypeError, KeyError):
-        findings.append(Finding(code="limits", message="tool, base or load are not set", where="tool"))
-    return findings
 
 
 def _motion(

@@ -12,16 +12,20 @@ from scanmotion.cell.settings.programme import ProgrammeSettings
 from scanmotion.core.errors import PlanFileError
 from scanmotion.core.trajectory import Operation, Trajectory
 from scanmotion.judge.motion import arm_from_urdf
+from scanmotion.judge.programme.arm_and_table import ArmAndTable
 from scanmotion.judge.programme.language.krl import read_krl
 from scanmotion.judge.programme.language.rapid import read_rapid
 from scanmotion.judge.programme.language.statements import Programme
+from scanmotion.judge.programme.language.urscript import read_urscript
 from scanmotion.judge.programme.machine import Machine
 from scanmotion.judge.programme.paths import Drive
 from scanmotion.judge.programme.world import Run, World
 from scanmotion.plan_io.read import read_json, read_plan, read_text, read_trajectory
 from scanmotion.plan_io.schema import PlanRecord
 
-READERS: dict[str, Callable[[Path], Programme]] = {".src": read_krl, ".mod": read_rapid}
+READERS: dict[str, Callable[[Path], Programme]] = {
+    ".src": read_krl, ".mod": read_rapid, ".script": read_urscript,
+}  # fmt: skip
 """By the ending of a programme's main file."""
 
 
@@ -54,6 +58,13 @@ class Controller:
         """Where the plan starts, shape (7,) [deg]."""
         return np.rad2deg(self.trajectory.q[0])
 
+    @property
+    def longest_s(self) -> float:
+        """What no run of the programme takes: dry, late, with a fault in each step [s]."""
+        s = self.signals
+        waits = (len(self.planned) + 2) * 4 * (s.ready_timeout_s + s.done_timeout_s)
+        return 60 + waits + (15 if self.dry else 4) * self.trajectory.duration
+
     def run(self, world: World, start: np.ndarray | None = None) -> tuple[Run, dict[Any, Any]]:
         """The log of a run, and the controller's variables after it.
 
@@ -70,9 +81,11 @@ class Controller:
             ("$SOFTN_END", 7, ""): -1e9 if low is None else float(np.rad2deg(low)) - 1e-6,
             ("$SOFTP_END", 7, ""): 1e9 if high is None else float(np.rad2deg(high)) + 1e-6,
             ("$ROBROOT", None, ""): dict.fromkeys("XYZABC", 0.0),
-            "STEP": self.programme.step, "START_OUT": self.signals.start_out,
+            "LONGEST": self.longest_s, "STEP": self.programme.step, "START_OUT": self.signals.start_out,
+            "SIGNALS": self.signals,
         }  # fmt: skip
-        machine = Machine(self.programme, self.drive, world, self.start if start is None else start, facts)
+        kind = ArmAndTable if self.programme.language == "urscript" else Machine
+        machine = kind(self.programme, self.drive, world, self.start if start is None else start, facts)
         run = machine.run()
         log = [machine.data.get(f"{self.programme.main}_{name}") for name in ("LT", "LQ")]
         return run, {**machine.system, "LOG": None if log[0] is None else log}

@@ -150,12 +150,12 @@ class Machine(Mover):
         word = name.word
         index = None if name.index is None else int(self.value(name.index))
         scope = self.scopes[-1]
+        values = scope.values if word in scope.values else self.data
+        if word in values:
+            found = values[word] if index is None else values[word][index]
+            return member(found, name.field) if name.field else found
         if word.startswith("#"):
             return word
-        if word in scope.values or word in self.data:
-            found = scope.values[word] if word in scope.values else self.data[word]
-            found = found[index] if index is not None else found
-            return member(found, name.field) if name.field else found
         if word == "$IN":
             return self.world.input(int(index or 0), self.t)
         if word == "$TIMER":

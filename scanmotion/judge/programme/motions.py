@@ -54,6 +54,7 @@ class Mover(ABC):
         self.gains: dict[int, np.ndarray] = {}
         self.rest: tuple[np.ndarray, np.ndarray] | None = None
         self.braked = False
+        self.longest = float(facts.get("LONGEST", np.inf))
         self.step_name, self.start_out = facts.get("STEP", ""), int(facts.get("START_OUT", 0))
         self.outputs: dict[int, bool] = {}
 
@@ -78,6 +79,8 @@ class Mover(ABC):
     def _stand(self, dt: float, q: np.ndarray) -> None:
         """Time goes on, the joints are where they are told, and nothing else is looked at."""
         self.t, self.q = self.t + dt, np.asarray(q, float)
+        if self.t > self.longest:
+            raise PlanFileError(f"is still running after {self.longest:.0f} s, many times the plan's")
         self._note()
         if not self.world.moved(self.t, self.q):
             raise Ended

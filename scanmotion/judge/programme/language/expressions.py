@@ -4,6 +4,7 @@ One grammar serves the three: or, and, not, comparison, sum, product, sign, call
 words (AND, and), signs (==, =, <>, !=) and the brackets of records; the readers give them in one form.
 """
 
+import operator
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -200,6 +201,8 @@ def value_of(node: Any, of: Evaluate, call: Call) -> Any:
     if isinstance(node, Name):
         return of(node)
     kind = node[0]
+    if kind == "op":
+        return _operated(node[1], value_of(node[2], of, call), value_of(node[3], of, call))
     if kind in ("num", "str", "bool"):
         return node[1]
     if kind == "record":
@@ -214,19 +217,18 @@ def value_of(node: Any, of: Evaluate, call: Call) -> Any:
         return bool(value_of(node[1], of, call)) and bool(value_of(node[2], of, call))
     if kind == "not":
         return not value_of(node[1], of, call)
-    if kind == "neg":
-        return -value_of(node[1], of, call)
-    return _operated(node[1], value_of(node[2], of, call), value_of(node[3], of, call))
+    return -value_of(node[1], of, call)
+
+
+_SIGNS = {
+    "==": operator.eq, "!=": operator.ne, "<=": operator.le, ">=": operator.ge, "<": operator.lt,
+    ">": operator.gt, "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
+}  # fmt: skip
 
 
 def _operated(sign: str, a: Any, b: Any) -> Any:
-    if sign in ("==", "!="):
-        return (a == b) == (sign == "==")
     try:
-        return {
-            "<=": lambda: a <= b, ">=": lambda: a >= b, "<": lambda: a < b, ">": lambda: a > b,
-            "+": lambda: a + b, "-": lambda: a - b, "*": lambda: a * b, "/": lambda: a / b,
-        }[sign]()  # fmt: skip
+        return _SIGNS[sign](a, b)
     except (TypeError, ZeroDivisionError):
         raise PlanFileError(f"{str(a)[:30]} {sign} {str(b)[:30]} has no value") from None
 

@@ -185,6 +185,8 @@ class Programme:
     step: str = ""
     """The variable that holds the number of the step."""
     remarks: tuple[str, ...] = ()
+    table: Any = None
+    """Of a table's own drive, where the arm has no axis for it."""
 
     def find(self, name: str, at: str) -> Routine | None:
         """The routine that `name` means in the file `at`."""

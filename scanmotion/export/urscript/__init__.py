@@ -1,0 +1,1 @@
+"""URScript for Universal Robots' arms, and the programme of the drive of their turntable."""
