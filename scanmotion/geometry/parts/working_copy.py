@@ -21,6 +21,7 @@ LIGHT = 200_000
 TOLERANCE_M = 0.002
 """A copy that is farther off gets twice the triangles, and at last is the mesh itself [m]."""
 _CHUNK = 1_000_000
+_MOST_PIECES = 10_000_000
 _PIECE_M = 0.001
 """Larger triangles are cut into pieces of at most this edge when a deviation is measured [m]."""
 
@@ -75,7 +76,7 @@ def _greatest_distance(
 
     The distance to a surface changes by no more than the way: inside of a triangle it is at most that of the
     nearest corner and the way to it, which is at most the longest edge by the root of three. Large triangles
-    are cut first.
+    are cut first; infinite where that makes too many.
     """
     import open3d as o3d
 
@@ -94,6 +95,8 @@ def _greatest_distance(
     corners = [vertices[triangles[:, k]] for k in range(3)]
     longest = np.max([np.linalg.norm(corners[k] - corners[k - 1], axis=1) for k in range(3)], axis=0)
     large = longest > _PIECE_M
+    if float(((longest[large] / _PIECE_M + 2) ** 2).sum()) > 2 * _MOST_PIECES:
+        return np.inf
     bound = at_corners[triangles].max(axis=1) + longest / np.sqrt(3)
     found = float(bound[~large].max(initial=0.0))
     for pieces, size in _cut([c[large] for c in corners], longest[large]):
@@ -103,7 +106,7 @@ def _greatest_distance(
 
 
 def _cut(corners: list[np.ndarray], longest: np.ndarray) -> list[tuple[np.ndarray, float]]:
-    """Points on triangles so dense that no piece has a longer edge than `_PIECE_M`, and the longest there is."""
+    """Points on triangles so dense that no piece has a longer edge than `_PIECE_M`, and the longest there."""
     out = []
     counts = np.ceil(longest / _PIECE_M).astype(int)
     for n in np.unique(counts):
