@@ -80,7 +80,7 @@ def compile_kernels(*, progress: Callable[[str, float], None] | None = None) -> 
         _forget(module)
     rows = [row for row in listed_kernels() if row[0] in stale]
     shares = _shares(rows, max(1, min(_MOST, allowed_threads())))
-    words = [sys.executable, "-c", f"from {__name__} import main; main()"]
+    words = [sys.executable, "-c", "from scanmotion.geometry.compiled import main; main()"]
     children = [
         subprocess.Popen([*words, *share], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         for share in shares
