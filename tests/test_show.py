@@ -18,6 +18,7 @@ from scanmotion.cell.kinematics import flange_poses
 from scanmotion.core.scanner import Scanner
 from scanmotion.geometry.parts.make_part import box_part, carving
 from scanmotion.report.figures import shapes, sight
+from scanmotion.report.scene_overlay import with_overlay
 from scanmotion.sensing.visibility import scene_from, sees
 
 
@@ -146,14 +147,14 @@ def test_names_cannot_break_out_of_the_page(plan):
     first, *rest = plan.trajectory.operations
     told = replace(plan.trajectory, operations=(replace(first, viewpoints=(name,)), *rest))
     bad = replace(plan, trajectory=told, part=replace(plan.part, name=name))
-    overlay = mut._with_overlay("<body></body>", bad)
+    overlay = with_overlay("<body></body>", bad)
     assert "<script>alert" not in overlay
     assert overlay.count("<script>") == overlay.count("</script>") == 1
 
 
 @pytest.fixture(scope="module")
 def shot(page):
-    return screenshot(page, fragment="#t=7")
+    return screenshot(page, fragment="#t=7&view=cell")
 
 
 def test_the_page_in_a_browser(shot):
@@ -175,9 +176,21 @@ def test_the_table_turns_and_the_part_is_coloured_as_it_is_seen(page, shot):
     early, _ = screenshot(page, fragment="#t=3.2")
     late, _ = screenshot(page, fragment="#t=13.4")
     assert seen_blue(early) < 0.2 * seen_blue(late) and seen_blue(late) > 500
+    cell, _ = screenshot(page, fragment="#t=13.4&view=cell")
+    assert seen_blue(late) > 3 * seen_blue(cell), "the object is large"
     # Only the right part of the picture: the legend on the left shows the time.
-    differs = np.abs(early[:, 400:].astype(int) - shot[0][:, 400:]).max(axis=2) > 40
+    differs = np.abs(cell[:, 400:].astype(int) - shot[0][:, 400:]).max(axis=2) > 40
     assert differs.sum() > 200
+
+
+def test_viewpoints_that_are_left_out_are_behind_a_switch(page):
+    assert "1 viewpoint left out" in page.read_text() and "viewpoint out of reach" in page.read_text()
+    hidden, shown = (screenshot(page, fragment=f"#t=7&view=cell{more}")[0] for more in ("", "&left-out"))
+    hidden, shown = hidden[:, 400:].astype(int), shown[:, 400:].astype(int)
+    differs = np.abs(shown - hidden).max(axis=2) > 40
+    # What appears is red: green and blue are taken away from a light background.
+    assert differs.sum() > 100 and ((hidden - shown)[differs][:, 1:].mean(axis=0) > 60).all()
+    assert abs((hidden - shown)[differs][:, 0].mean()) < 60
 
 
 def listening_addresses():

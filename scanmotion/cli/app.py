@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 import typer
@@ -33,7 +34,7 @@ def note_interrupts() -> None:
     Compiled callbacks drop it with a note on stderr; an import that it meets fails with an ImportError.
     """
 
-    def note(number: int, frame: Any) -> None:
+    def note(number: int, frame: FrameType | None) -> None:
         _interrupted.append(True)
         raise KeyboardInterrupt
 
@@ -130,7 +131,7 @@ def refuse(message: str) -> int:
     return BAD_INPUT
 
 
-def say_json(document: Any) -> None:
+def say_json(document: object) -> None:
     """One JSON document on stdout, for machines."""
     typer.echo(json.dumps(document, indent=2, allow_nan=False))
 

@@ -1,16 +1,19 @@
 """`scanmotion fuse`: measured scans into one."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from scanmotion.cli.app import OK, progress_bar
+from scanmotion.cli.app import OK, Progress, progress_bar
 from scanmotion.cli.inputs import OUT, Quiet, Units, check_file, check_suffix
 from scanmotion.core.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from scanmotion.sensing.fusion.fuse import Cloud
+    from scanmotion.sensing.scans.scan_files import MeasuredScan
 
 
 def fuse(
@@ -48,7 +51,8 @@ def fuse(
         made = write_surface(out, fused.cloud) if surface else write_cloud(out, fused.cloud)
     if not quiet:
         for scan, side in zip(measured, fused.sides, strict=True):
-            typer.echo(f"{scan.name}: {scan.report.line}" + (f"; {side}" if side else ""))
+            read = "" if scan.report is None else f": {scan.report.line}"
+            typer.echo(f"{scan.name}{read}" + (f"; {side}" if side else ""))
         for name, found in zip(fused.names[1:], fused.registrations[1:], strict=False):
             moved = f", moved by {found.shift * 1e3:.2f} mm" if found.trusted else ""
             typer.echo(f"{name}: {found.statement}{moved}")
@@ -76,8 +80,8 @@ def scan_files(paths: list[Path]) -> list[Path]:
     return files
 
 
-def read_poses(path: Path, files: list[Path]) -> dict[str, Any]:
-    """The record of each file in a pose file, its pose as an array.
+def read_poses(path: Path, files: list[Path]) -> "dict[str, dict[str, np.ndarray]]":
+    """What a pose file says of each file: its pose (4, 4), and which way it looked (3,) where that is told.
 
     Raises:
         InputError: unreadable, a file without a pose, or a pose that is no rigid motion.
@@ -89,11 +93,13 @@ def read_poses(path: Path, files: list[Path]) -> dict[str, Any]:
     check_file("--poses", path)
     try:
         scans = json.loads(path.read_text(encoding="utf-8"))["scans"]
-        records = {file.name: dict(scans[file.name]) for file in files}
-        for record in records.values():
+        records: dict[str, dict[str, np.ndarray]] = {}
+        for file in files:
+            told, record = dict(scans[file.name]), {}
             for key, shape in (("T_object_scan", (4, 4)), ("nominal_view_direction", (3,))):
-                if key == "T_object_scan" or key in record:
-                    record[key] = np.array(record[key], dtype=float).reshape(shape)
+                if key == "T_object_scan" or key in told:
+                    record[key] = np.array(told[key], dtype=float).reshape(shape)
+            records[file.name] = record
     except (ValueError, TypeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: is not a pose file ({str(error)[:120]})") from None
     except KeyError as error:
@@ -110,7 +116,9 @@ def read_poses(path: Path, files: list[Path]) -> dict[str, Any]:
     return records
 
 
-def measured_scans(files: list[Path], poses: dict[str, Any], units: str, progress: Any) -> list[Any]:
+def measured_scans(
+    files: list[Path], poses: "dict[str, dict[str, np.ndarray]]", units: str, progress: Progress
+) -> "list[MeasuredScan]":
     """The scans with their poses, in metres, and which way each looked.
 
     A pose file may give the viewing direction of a scan; without it the scan's own origin is the camera.

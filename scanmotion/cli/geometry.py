@@ -1,7 +1,7 @@
 """Commands that know no robot: `inspect`, `holes`, `viewpoints`."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -28,6 +28,13 @@ from scanmotion.cli.inputs import (
 )
 from scanmotion.core.errors import InputError
 
+if TYPE_CHECKING:
+    from scanmotion.cell.settings.cell import CellSettings
+    from scanmotion.core.part import Part
+    from scanmotion.core.read_report import ReadReport
+    from scanmotion.core.viewpoint import Viewpoint
+    from scanmotion.sensing.holes.find import HoleReport
+
 
 def inspect(
     file: Annotated[Path, typer.Argument(help="Cloud or mesh of any kind that is read.")],
@@ -48,6 +55,7 @@ def inspect(
     check_suffix("--picture", picture, ".png", ".html")
     part = scan_from(file, units, up)
     report = part.report
+    assert report is not None
     if picture is not None:
         draw_part(part, picture)
     if json:
@@ -59,7 +67,7 @@ def inspect(
     return CHECK_FAILED if report.changes or report.warnings else OK
 
 
-def report_rows(report: Any) -> list[tuple[str, str]]:
+def report_rows(report: "ReadReport") -> list[tuple[str, str]]:
     """Name and value of each line of `scanmotion inspect`."""
     mesh = report.triangles > 0
     rows = [("format", report.format), ("points", str(report.points))]
@@ -77,7 +85,7 @@ def report_rows(report: Any) -> list[tuple[str, str]]:
     return [*rows, *(("note", text) for text in report.warnings)]
 
 
-def draw_part(part: Any, path: Path) -> None:
+def draw_part(part: "Part", path: Path) -> None:
     """Writes six views of a part with its holes, as PNG or as a page that holds the picture."""
     import base64
     import html
@@ -98,6 +106,7 @@ def draw_part(part: Any, path: Path) -> None:
     hole_figure(part, report).savefig(buffer, format="png")
     data = buffer.getvalue()
     if path.suffix == ".html":
+        assert part.report is not None
         rows = "".join(
             f"<tr><td>{html.escape(k)}</td><td>{html.escape(v)}</td></tr>"
             for k, v in report_rows(part.report)
@@ -158,7 +167,7 @@ def holes(
 HOLE_HEADER = ("hole", "kind", "X' mm", "Y' mm", "Z' mm", "perimeter mm", "area mm2")
 
 
-def hole_rows(report: Any) -> list[tuple[str, ...]]:
+def hole_rows(report: "HoleReport") -> list[tuple[str, ...]]:
     """A row for each hole, largest first."""
     rows = []
     for number, hole in enumerate(report.holes, start=1):
@@ -168,21 +177,21 @@ def hole_rows(report: Any) -> list[tuple[str, ...]]:
     return rows
 
 
-def dumps(document: Any) -> str:
+def dumps(document: object) -> str:
     """JSON text that no reader refuses."""
     import json
 
     return json.dumps(document, allow_nan=False) + "\n"
 
 
-def scan_from(file: Path, units: str, up: str) -> Any:
+def scan_from(file: Path, units: str, up: str) -> "Part":
     """A scan whose unit need not be known: holes are found relative to the spacing of its points."""
     from scanmotion.geometry.parts.make_part import part_from_file
 
     return part_from_file(file, units=units or None, up=up, guess=True)
 
 
-def holes_of(part: Any, mode: str) -> Any:
+def holes_of(part: "Part", mode: str) -> "HoleReport":
     """The hole report of a mesh or a cloud."""
     from scanmotion.sensing.holes.find import holes_from_cloud, holes_from_mesh
     from scanmotion.sensing.holes.paper_clusters import LargestAngle
@@ -193,7 +202,7 @@ def holes_of(part: Any, mode: str) -> Any:
     return holes_from_cloud(part.vertices, normals=part.normals, by_angle=by_angle)
 
 
-def draw_holes(part: Any, report: Any, path: Path) -> Path:
+def draw_holes(part: "Part", report: "HoleReport", path: Path) -> Path:
     """Writes the hole map as PNG."""
     from scanmotion.report.figures.maps import hole_figure
 
@@ -240,7 +249,9 @@ def viewpoints(
     return OK
 
 
-def choose_viewpoints(subject: Any, source: str, settings: Any, mode: str) -> tuple[tuple, tuple]:
+def choose_viewpoints(
+    subject: "Part", source: str, settings: "CellSettings", mode: str
+) -> "tuple[tuple[Viewpoint, ...], tuple[tuple[str, str], ...]]":
     """Viewpoints and (id, reason) of those left out, for a box or mesh (global) or a scan (local)."""
     standoff, scanner = settings.process.standoff_m, settings.scanner_model()
     if source == "scan":
@@ -260,14 +271,14 @@ def choose_viewpoints(subject: Any, source: str, settings: Any, mode: str) -> tu
 VIEW_HEADER = ("viewpoint", "step", "kind", "x mm", "y mm", "z mm", "direction", "standoff mm")
 
 
-def view_row(view: Any) -> tuple[str, ...]:
+def view_row(view: "Viewpoint") -> tuple[str, ...]:
     """A viewpoint as a row of a table."""
     position = [f"{v * 1e3:.1f}" for v in view.p_OS]
     direction = " ".join(f"{v:+.3f}" for v in view.direction)
     return (view.id, view.step, view.kind, *position, direction, f"{view.standoff * 1e3:.0f}")
 
 
-def view_record(view: Any) -> dict[str, Any]:
+def view_record(view: "Viewpoint") -> dict[str, object]:
     """A viewpoint for JSON; the pose in metres as in plan.json."""
     return {
         "id": view.id,

@@ -1,7 +1,7 @@
 """`scanmotion study` and `scanmotion layout`: many plans at once."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from typer.core import TyperGroup
@@ -13,7 +13,7 @@ from scanmotion.cli.inputs import Json, Quiet, Robot, check_suffix, write_text
 class _StudyCommands(TyperGroup):
     """`scanmotion study FILE` means `scanmotion study run FILE`."""
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
         if args and args[0] not in self.commands and not args[0].startswith("-"):
             args = ["run", *args]
         return super().parse_args(ctx, args)

@@ -72,14 +72,22 @@ class Scanner:
         return self.range[1] - self.range[0]
 
     def usual_depth(self, depths: np.ndarray) -> float | None:
-        """Median of those depths (n,) that are in range, of all finite ones if none is; None for none."""
+        """Median of those depths that are in range, of all finite ones if none is; None for none.
+
+        Args:
+            depths: along the optical axis, shape (n,) [m]; one that is not finite is left out.
+        """
         depths = depths[np.isfinite(depths)]
         within = depths[(depths >= self.range[0]) & (depths <= self.range[1])]
         some = within if len(within) else depths
         return float(np.median(some)) if len(some) else None
 
     def field(self, depth: float | np.ndarray) -> tuple[float | np.ndarray, float | np.ndarray]:
-        """Sides (l, w) of the field of view at `depth` [m]: l = 2 d tan(15 deg), w = 2 d tan(10.5 deg)."""
+        """Sides (l, w) of the field of view [m]: twice the depth times the tangents of half its angles.
+
+        Args:
+            depth: along the optical axis, a number or shape (n,) [m].
+        """
         return 2.0 * depth * np.tan(self.fov[0] / 2), 2.0 * depth * np.tan(self.fov[1] / 2)
 
     def before(self, material: Material) -> "Scanner":

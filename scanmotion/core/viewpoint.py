@@ -71,7 +71,11 @@ class Viewpoint:
         return self.X_OS[:3, 2]
 
     def moved(self, X_OS: np.ndarray) -> "Viewpoint":
-        """The same viewpoint at another pose."""
+        """The same viewpoint at another pose.
+
+        Args:
+            X_OS: of the scanner in the object, shape (4, 4) [m].
+        """
         return replace(self, X_OS=X_OS)
 
 
@@ -120,7 +124,7 @@ def look_at(p_OS: np.ndarray, direction: np.ndarray, *, roll: float = 0.0) -> np
 
     Args:
         p_OS: position, shape (3,) [m].
-        direction: viewing direction in O, shape (3,), of any positive length.
+        direction: viewing direction in O, shape (3,) [-], of any positive length.
         roll: turn about the optical axis [rad].
     """
     z = np.asarray(direction, dtype=float)

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -220,7 +219,7 @@ def _pose(number: dict[str, float]) -> np.ndarray:
     return X_OS
 
 
-def _entry(cell: dict[str, str]) -> dict[str, Any]:
+def _entry(cell: dict[str, str]) -> dict[str, object]:
     """A row in the schema of plan.json."""
     words = ("id", "step", "kind", "sweep", "slack_roll", "note")
     number = {key: float(text) for key, text in cell.items() if key not in words}
@@ -253,7 +252,7 @@ def _from_json(path: Path, text: str) -> list[Viewpoint]:
     return [_checked(path, f"viewpoint {n}", entry) for n, entry in enumerate(data["viewpoints"], 1)]
 
 
-def _checked(path: Path, where: str, entry: Any) -> Viewpoint:
+def _checked(path: Path, where: str, entry: object) -> Viewpoint:
     try:
         record = ViewpointRecord.model_validate(entry)
         checked_id(record.id)

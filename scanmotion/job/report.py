@@ -60,6 +60,7 @@ def write_report(
             (h["kind"], h["area_mm2"], "  ".join(f"{x:.0f}" for x in h["center_mm"])) for h in record["holes"]
         ]),
     ]  # fmt: skip
+    against: dict[str, Any] = {}
     if reference is not None:
         progress("compare", 0.9)
         part = reference_part(reference, units)
@@ -70,18 +71,18 @@ def write_report(
             measured=job.record.name, reference=part, alignment=fit, found=compared, limit=0.5e-3
         )
         record["against_reference"] = assessment_record(held)
+        s, share = compared.spread, compared.completeness
+        against = {"mean_abs_mm": s.mean_abs * 1e3, "sd_signed_mm": s.sd_signed * 1e3, "rms_mm": s.rms * 1e3}
+        against = {k: round(v, 6) for k, v in against.items()}
+        against["completeness"] = None if share is None else round(share, 6)
         body += [
-            f"<h2>Against {escape(part.name)}</h2>", table((), figure_rows(record["against_reference"])),
+            f"<h2>Against {escape(part.name)}</h2>", table((), figure_rows(held)),
             image(map_figure(held), "deviation from six sides"), image(histogram_figure(held), "histogram"),
         ]  # fmt: skip
     replaced(job.folder / "report.json", (json.dumps(record, indent=1, allow_nan=False) + "\n").encode())
     replaced(job.folder / "report.html", page(f"scanmotion: job {job.record.name}", "\n".join(body)).encode())
     told: dict[str, Any] = {"points": record["points"], "segments": record["segments"], "holes": len(holes)}
-    if reference is not None:
-        all_ = record["against_reference"]["all"]
-        told |= {k: all_[k] for k in ("mean_abs_mm", "sd_signed_mm", "rms_mm")}
-        told["completeness"] = record["against_reference"]["completeness"]
-    return {**told, "page": str(job.folder / "report.html")}
+    return {**told, **against, "page": str(job.folder / "report.html")}
 
 
 def _lines(state: dict[str, Any]) -> list[tuple[str, str]]:

@@ -7,7 +7,7 @@ and version give the same bytes. Assumes that the part stands in the object fram
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -42,8 +42,8 @@ _ACCURACY_POINTS = 20_000
 
 
 def plan(
-    part: Any,
-    settings: Any = "kr240",
+    part: object,
+    settings: object = "kr240",
     *,
     viewpoints: Sequence[Viewpoint] | None = None,
     order: Literal["fastest", "given"] = "fastest",

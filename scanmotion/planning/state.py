@@ -5,9 +5,9 @@ Guarantees: `extend` leaves the state that it is given as it is; going back is k
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
+from pydantic import JsonValue
 
 from scanmotion.core.trajectory import Trajectory, joined
 from scanmotion.core.viewpoint import Viewpoint
@@ -50,7 +50,7 @@ class PlanState:
     """Patches of surface that the local step leaves open, each with its reason."""
     joining: Joining | None = None
     """What came of joining turns, where that was allowed."""
-    motion: Mapping[str, Any] | None = None
+    motion: Mapping[str, JsonValue] | None = None
     """The continuous motion, as the summary tells it; None for stops."""
     searched: tuple[Segment, ...] = ()
     """The segments as they were found, where pruning has made others of them since."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -14,7 +14,10 @@ from scanmotion.report.figures.maps import SIDES, new_figure
 from scanmotion.report.figures.surface import picture_of, shaded, view_of
 from scanmotion.report.html import image, page, table
 from scanmotion.sensing.metrology.alignment import Alignment
-from scanmotion.sensing.metrology.deviations import PERCENTILES, Deviations, Spread
+from scanmotion.sensing.metrology.deviations import PERCENTILES, Deviations, RegionFigures, Spread
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _NOT_MEASURED = np.array([0.55, 0.55, 0.55])
 _RED, _BLUE, _PALE = (np.array(c) / 255 for c in ((178.0, 24, 43), (33.0, 102, 172), (235.0, 235, 235)))
@@ -30,11 +33,11 @@ class Assessment:
     found: Deviations
     limit: float
     """Distance of the full colour [m]."""
-    artefact: dict[str, Any] | None = None
+    artefact: dict[str, float] | None = None
     """Figures on a sphere, a ball bar or a plane, in mm, where the reference is one."""
 
 
-def assessment_record(a: Assessment) -> dict[str, Any]:
+def assessment_record(a: Assessment) -> dict[str, object]:
     """assess.json: all figures in millimetres and shares."""
     d = a.found
     return {
@@ -70,7 +73,7 @@ def _pose_mm(X: np.ndarray) -> list[list[float]]:
     return np.round(out, 9).tolist()
 
 
-def _spread_mm(s: Spread) -> dict[str, Any]:
+def _spread_mm(s: Spread) -> dict[str, object]:
     return {
         "points": s.points, "mean_abs_mm": _mm(s.mean_abs), "mean_signed_mm": _mm(s.mean_signed),
         "sd_signed_mm": _mm(s.sd_signed), "rms_mm": _mm(s.rms),
@@ -84,10 +87,9 @@ def _spread_mm(s: Spread) -> dict[str, Any]:
 
 def assessment_html(a: Assessment) -> str:
     """The page."""
-    record = assessment_record(a)
     body = [
         f"<h1>{escape(a.measured)} against {escape(a.reference.name)}</h1>",
-        table((), figure_rows(record)),
+        table((), figure_rows(a)),
         '<p class="note">Accuracy is the mean of the absolute distance, standard deviation that of the '
         "signed one (both as in doi 10.3390/act14030139); positive is outside of the reference.</p>",
         "<h2>Where it deviates</h2>",
@@ -96,7 +98,7 @@ def assessment_html(a: Assessment) -> str:
     ]
     if a.reference.is_mesh:
         body += ["<h2>Sections</h2>", image(section_figure(a), "three sections")]
-    if record["regions"]:
+    if a.found.regions:
         header = (
             "region",
             "points",
@@ -107,43 +109,43 @@ def assessment_html(a: Assessment) -> str:
             "rms mm",
             "95 % abs mm",
         )
-        body += ["<h2>Regions</h2>", table(header, [_region_row(r) for r in record["regions"]])]
+        body += ["<h2>Regions</h2>", table(header, [_region_row(r) for r in a.found.regions])]
     if a.artefact is not None:
         body += ["<h2>Artefact</h2>", table(("figure", "value"), list(a.artefact.items()))]
     return page(f"scanmotion: {a.measured}", "\n".join(body))
 
 
-def _region_row(r: dict[str, Any]) -> tuple[Any, ...]:
-    covered = "-" if r["completeness"] is None else f"{r['completeness']:.2%}"
-    if not r["points"]:
-        return (r["name"], 0, covered, "-", "-", "-", "-", "-")
-    names = ("mean_abs_mm", "mean_signed_mm", "sd_signed_mm", "rms_mm")
-    last = f"{r['percentiles']['95']['abs_mm']:.3f}"
-    return (r["name"], r["points"], covered, *(f"{r[n]:.3f}" for n in names), last)
+def _region_row(r: RegionFigures) -> tuple[str, ...]:
+    covered = "-" if r.completeness is None else f"{r.completeness:.2%}"
+    if r.spread is None or not r.spread.points:
+        return (r.name, "0", covered, "-", "-", "-", "-", "-")
+    s = r.spread
+    last = s.absolute[PERCENTILES.index(95)]
+    figures = (s.mean_abs, s.mean_signed, s.sd_signed, s.rms, last)
+    return (r.name, str(s.points), covered, *(f"{_mm(x):.3f}" for x in figures))
 
 
-def figure_rows(record: dict[str, Any]) -> list[tuple[str, str]]:
+def figure_rows(a: Assessment) -> list[tuple[str, str]]:
     """Name and value of each figure, for the page and the terminal."""
-    all_, covered = record["all"], record["completeness"]
-    tails = record["all"]["percentiles"]
+    s, covered = a.found.spread, a.found.completeness
     rows = [
-        ("accuracy: mean of the absolute distance", f"{all_['mean_abs_mm']:.4f} mm"),
-        ("standard deviation of the signed distance", f"{all_['sd_signed_mm']:.4f} mm"),
-        ("mean of the signed distance", f"{all_['mean_signed_mm']:+.4f} mm"),
-        ("root mean square", f"{all_['rms_mm']:.4f} mm"),
+        ("accuracy: mean of the absolute distance", f"{_mm(s.mean_abs):.4f} mm"),
+        ("standard deviation of the signed distance", f"{_mm(s.sd_signed):.4f} mm"),
+        ("mean of the signed distance", f"{_mm(s.mean_signed):+.4f} mm"),
+        ("root mean square", f"{_mm(s.rms):.4f} mm"),
         (
             "percentiles of the absolute distance",
-            ", ".join(f"{p} %: {v['abs_mm']:.3f}" for p, v in tails.items()),
+            ", ".join(f"{p:g} %: {_mm(x):.3f}" for p, x in zip(PERCENTILES, s.absolute, strict=True)),
         ),
-        ("least and greatest", f"{all_['least_mm']:+.3f} to {all_['greatest_mm']:+.3f} mm"),
+        ("least and greatest", f"{_mm(s.least):+.3f} to {_mm(s.greatest):+.3f} mm"),
         (
             "completeness",
             "not known: the reference is a cloud of points" if covered is None else f"{covered:.2%}",
         ),
-        ("points", f"{all_['points']}, {record['points_cut']} cut off"),
+        ("points", f"{s.points}, {a.found.cut} cut off"),
     ]
-    if record["alignment"] is not None:
-        rows.append(("alignment", record["alignment"]["statement"]))
+    if a.alignment is not None:
+        rows.append(("alignment", a.alignment.statement))
     return rows
 
 
@@ -152,7 +154,7 @@ def _colours(d: np.ndarray, limit: float) -> np.ndarray:
     return np.where(x > 0, _PALE + x * (_RED - _PALE), _PALE - x * (_BLUE - _PALE))
 
 
-def map_figure(a: Assessment) -> Any:
+def map_figure(a: Assessment) -> "Figure":
     """The reference from six sides, coloured by the nearest measured point; grey where there is none."""
     tree = cKDTree(a.found.points)
     scale = max(view_of(a.reference, azimuth=z, elevation=e, pixels=380).scale for _, z, e in SIDES)
@@ -174,7 +176,7 @@ def map_figure(a: Assessment) -> Any:
     return figure
 
 
-def histogram_figure(a: Assessment) -> Any:
+def histogram_figure(a: Assessment) -> "Figure":
     """Signed distances within four times the limit of the colours; the title counts what lies beyond."""
     d, wide = a.found.distance * 1e3, 4 * a.limit * 1e3
     figure = new_figure(8.0, 2.8)
@@ -188,7 +190,7 @@ def histogram_figure(a: Assessment) -> Any:
     return figure
 
 
-def section_figure(a: Assessment) -> Any:
+def section_figure(a: Assessment) -> "Figure":
     """Cuts through the middle of the reference: its outline, and the measured points near the cut."""
     figure = new_figure(11.5, 4.2)
     middle = a.reference.bounds.mean(axis=0)

@@ -10,7 +10,7 @@ compare methods and not objects.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,6 +27,10 @@ from scanmotion.report.figures.maps import coverage_figure, hole_figure, new_fig
 from scanmotion.report.html import image, page, table
 from scanmotion.sensing.metrology.deviations import DeviationLimits, deviations
 from scanmotion.views.hole_views import grid_positions, paper_positions
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
 
 PAPER_TOUR_MM = (763.9, 585.7)
 """Length of the scan path before and after the paper's GA, its figure 18."""
@@ -116,11 +120,11 @@ def tour_lengths(places: np.ndarray, *, rng: np.random.Generator) -> TourLengths
     )  # fmt: skip
 
 
-def paper_record(it: PaperExperiments) -> dict[str, Any]:
+def paper_record(it: PaperExperiments) -> dict[str, object]:
     """The page's figures for machines."""
     from scanmotion.planning.worth.comparison import document
 
-    t, time_s, exact = it.tour, it.made.time_s(), it.made.accuracy()
+    t, exact = it.tour, it.made.accuracy()
     before, after = PAPER_TOUR_MM
     return {
         "table_3": document(it.part.name, it.table),
@@ -131,8 +135,7 @@ def paper_record(it: PaperExperiments) -> dict[str, Any]:
             "paper": {"before": before, "after": after, "shorter": round(1 - after / before, 4)},
         },
         "budgets_s": {
-            name: {"paper": limit, "ours": round(time_s["total"], 2), "kept": bool(time_s["total"] <= limit)}
-            for name, limit in PAPER_BUDGETS_S.items()
+            name: {"paper": limit, "ours": ours, "kept": kept} for name, limit, ours, kept in budgets_kept(it)
         },
         "accuracy_mm": {
             "mean_abs": None if exact is None else _mm(exact.mean_abs),
@@ -141,6 +144,12 @@ def paper_record(it: PaperExperiments) -> dict[str, Any]:
         },
         "holes": len(it.made.holes.holes) if it.made.holes is not None else 0,
     }  # fmt: skip
+
+
+def budgets_kept(it: PaperExperiments) -> list[tuple[str, float, float, bool]]:
+    """Each of the paper's times: its name, the paper's seconds, ours, and whether ours are no more."""
+    ours = it.made.time_s()["total"]
+    return [(name, limit, round(ours, 2), bool(ours <= limit)) for name, limit in PAPER_BUDGETS_S.items()]
 
 
 def _mm(metres: float) -> float:
@@ -153,17 +162,17 @@ def _shorter(before: float, after: float) -> float | None:
 
 def paper_html(it: PaperExperiments) -> str:
     """The page."""
-    record, made = paper_record(it), it.made
-    tour = record["tour_mm"]
-    percent = "-" if tour["shorter"] is None else f"{tour['shorter']:.1%}"
+    made, t = it.made, it.tour
+    shorter, (before, after) = _shorter(t.at_random, t.optimised), PAPER_TOUR_MM
+    percent = "-" if shorter is None else f"{shorter:.1%}"
     rows = [
-        (f"{tour['places']} places of local viewpoints", f"{tour['at_random']:.1f}",
-         f"{tour['optimised']:.1f}", percent),
-        ("the paper, figure 18 (its text says 30%)", *PAPER_TOUR_MM, f"{tour['paper']['shorter']:.1%}"),
+        (f"{t.places} places of local viewpoints", f"{_mm(t.at_random):.1f}", f"{_mm(t.optimised):.1f}",
+         percent),
+        ("the paper, figure 18 (its text says 30%)", before, after, f"{1 - after / before:.1%}"),
     ]  # fmt: skip
     budgets = [
-        (n, b["paper"], f"{b['ours']:.1f}", "kept" if b["kept"] else "NOT kept")
-        for n, b in record["budgets_s"].items()
+        (name, limit, f"{ours:.1f}", "kept" if kept else "NOT kept")
+        for name, limit, ours, kept in budgets_kept(it)
     ]
     body = [
         f"<h1>The paper's experiments on {escape(it.part.name)}</h1>",
@@ -178,8 +187,8 @@ def paper_html(it: PaperExperiments) -> str:
         image(reach_figure(made), "viewpoints"),
         "<h2>Figure 18: the way over the local viewpoints</h2>",
         table(("", "random order, mm", "by the genetic algorithm, mm", "shorter"), rows),
-        f'<p class="note">As the holes were found: {tour["as_found"]:.1f} mm; '
-        f'no order is shorter than {tour["bound"]:.1f} mm.</p>',
+        f'<p class="note">As the holes were found: {_mm(t.as_found):.1f} mm; '
+        f'no order is shorter than {_mm(t.bound):.1f} mm.</p>',
         "<h2>Figure 19: what is seen after the global and after the local scan</h2>",
         image(coverage_figure(made), "coverage"),
         "<h2>Figure 20: deviation of the fused model</h2>", *_deviation(it),
@@ -206,7 +215,7 @@ def _deviation(it: PaperExperiments) -> list[str]:
     ]  # fmt: skip
 
 
-def situations_figure(settings: CellSettings) -> Any:
+def situations_figure(settings: CellSettings) -> "Figure":
     """Figures 9 to 13: fields over the hole's middle plane, by the paper's four cases and by the even
     grid.
     """
@@ -217,9 +226,9 @@ def situations_figure(settings: CellSettings) -> Any:
     for k, (a, b) in enumerate(SITUATIONS):
         both = (paper_positions(a, b, long, short), grid_positions(a, b, long, short))
         for ax, places, name in zip(axes[:, k], both, ("paper", "default"), strict=True):
-            ax.add_patch(_box((0.0, 0.0), a, b, facecolor="#d9d9d6", edgecolor="none"))
+            ax.add_patch(_box(np.zeros(2), a, b, face="#d9d9d6", edge="none"))
             for p in places:
-                ax.add_patch(_box(p, long, short, facecolor="none", edgecolor="#4c8bc4", lw=0.8))
+                ax.add_patch(_box(p, long, short, face="none", edge="#4c8bc4", wide=0.8))
             ax.plot(places[:, 0] * 1e3, places[:, 1] * 1e3, "o-", color="#c8102e", ms=3, lw=0.8)
             ax.set_title(
                 f"{name}: {a * 1e3:.0f} x {b * 1e3:.0f} mm, {len(places)} views", fontsize=7, loc="left"
@@ -230,7 +239,9 @@ def situations_figure(settings: CellSettings) -> Any:
     return figure
 
 
-def _box(centre: Any, a: float, b: float, **style: Any) -> Any:
+def _box(centre: np.ndarray, a: float, b: float, *, face: str, edge: str, wide: float = 1.0) -> "Rectangle":
+    """A field of a x b [m] about a centre, shape (2,) [m], drawn in mm."""
     from matplotlib.patches import Rectangle
 
-    return Rectangle(((centre[0] - a / 2) * 1e3, (centre[1] - b / 2) * 1e3), a * 1e3, b * 1e3, **style)
+    x, y = float(centre[0] - a / 2) * 1e3, float(centre[1] - b / 2) * 1e3
+    return Rectangle((x, y), a * 1e3, b * 1e3, facecolor=face, edgecolor=edge, lw=wide)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from scanmotion.core.scanner import Scanner
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.sensing.holes.find import Hole
 
@@ -79,7 +80,7 @@ def scene(
     triangles: np.ndarray | None = None,
     holes: Iterable[Hole] = (),
     viewpoints: Iterable[Viewpoint] = (),
-    scanner: Any = None,
+    scanner: Scanner | None = None,
     most_points: int = 60000,
 ) -> PageScene:
     """A scene of any of: a cloud or mesh, holes with their boxes and normals, viewpoints with their fields.
@@ -145,7 +146,7 @@ def _draw_hole(node: Any, hole: Hole) -> None:
     node["normal"].set_object(_lines(np.stack([hole.center, tip]), RIM))
 
 
-def _tangents(scanner: Any) -> tuple[float, float]:
+def _tangents(scanner: Scanner | None) -> tuple[float, float]:
     """Half-field tangents along x and y of S."""
     if scanner is None:
         return float(np.tan(np.radians(15.0))), float(np.tan(np.radians(10.5)))

@@ -60,7 +60,12 @@ class ClosedModel:
         return np.cross(b - a, c - a)
 
     def measured(self, points: np.ndarray, passed: Passed | None = None) -> "ClosedModel":
-        """The same surface with the distances from other scanned points (n, 3), less what frames passed."""
+        """The same surface with the distances from other scanned points, less what frames passed.
+
+        Args:
+            points: shape (n, 3) in O [m].
+            passed: tells of places, shape (k, 3) [m], whether frames have looked through them.
+        """
         if passed is not None and self.solid is not None:
             values = _without_passed(self.solid, points, passed)
             if (values != self.solid.values).any():
@@ -88,7 +93,8 @@ def closed_model(
         normals: outward unit normals, shape (n, 3).
         spacing: of the points [m].
         table_z: nothing is solid below this height, because the part stands there [m]; None for no table.
-        passed: where frames have looked through a guess, nothing is solid; None where that is not known.
+        passed: tells of places, shape (k, 3) [m], whether frames have looked through them: there nothing is
+            solid. None where that is not known.
 
     Raises:
         HoleError: too few points for a surface.

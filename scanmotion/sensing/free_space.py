@@ -63,12 +63,22 @@ class Space:
         self._frames = np.zeros(0, np.int64)
 
     def add(self, X_OS: np.ndarray, images: np.ndarray) -> None:
-        """Remembers frames: poses (n, 4, 4) and depth images (n, h, w) [m], NaN where nothing was seen."""
+        """Remembers frames.
+
+        Args:
+            X_OS: their poses, shape (n, 4, 4) [m].
+            images: their depth images, shape (n, h, w) [m], NaN where nothing was seen.
+        """
         self._X_SO = np.concatenate([self._X_SO, np.linalg.inv(np.asarray(X_OS, float))])
         self._images.append(np.asarray(images, np.float32))
 
     def with_frames(self, X_OS: np.ndarray, images: np.ndarray) -> "Space":
-        """The space with more frames, see `add`; this one stays as it is."""
+        """The space with more frames, see `add`; this one stays as it is.
+
+        Args:
+            X_OS: poses of the frames, shape (f, 4, 4) [m].
+            images: their depth images, shape (f, h, w) [m].
+        """
         more = copy(self)
         # What is remembered of cells is replaced as a whole, never written into: it may be shared.
         more._images = list(self._images)
@@ -79,7 +89,7 @@ class Space:
         """Where the frames left space open beside the surface that `points` (n, 3) show.
 
         Args:
-            points: the measured surface [m].
+            points: the measured surface, shape (n, 3) [m].
             near: only cells about these places are wanted, shape (k, 3) [m]; None for all along the surface.
             reach: how far from them [m].
         """
@@ -103,7 +113,11 @@ class Space:
         )
 
     def passed(self, places: np.ndarray) -> np.ndarray:
-        """Which of the places (n, 3) [m] some frame has looked through, shape (n,)."""
+        """Which of the places some frame has looked through, shape (n,).
+
+        Args:
+            places: shape (n, 3) in O [m].
+        """
         return self._seen_through(np.asarray(places, dtype=float), 0)
 
     def _wanted(self, points: np.ndarray, near: np.ndarray | None, reach: float) -> np.ndarray:

@@ -16,9 +16,9 @@ def greedy_cover(
     The greedy choice costs at most ln(m) + 1 times the least (Chvatal 1979, doi 10.1287/moor.4.3.233).
 
     Args:
-        matrix: which row covers which column, shape (n, m), bool.
-        weights: of the columns, shape (m,), not negative.
-        cost: of the rows, shape (n,), positive; None for equal.
+        matrix: mask of which row covers which column, shape (n, m).
+        weights: of the columns, shape (m,) in any unit, not negative.
+        cost: of the rows, shape (n,) in any unit, positive; None for equal.
         target: share of the coverable weight at which to stop.
         max_views: most rows to take.
     """

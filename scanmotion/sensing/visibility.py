@@ -49,7 +49,7 @@ def scene_from(
 
     Args:
         vertices: shape (n, 3) in O [m].
-        triangles: shape (m, 3).
+        triangles: indices of vertices, shape (m, 3).
         table_radius: of the table's disc [m]; None for no table.
         table_z: height of the table's top in O, below zero where a pedestal lifts the part [m].
         pedestal_radius: of the pedestal between table and part [m]; 0 for none.
@@ -219,7 +219,7 @@ def sees(
     Args:
         scene: what blocks sight.
         scanner: field, range, incidence, baseline.
-        X_OS: poses, shape (n, 4, 4).
+        X_OS: poses, shape (n, 4, 4) [m].
         points: shape (m, 3) in O [m].
         normals: outward unit normals, shape (m, 3).
 
@@ -246,7 +246,16 @@ def seen_by_any(
     *,
     seen: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Which points at least one of the poses measures, shape (m,); those in `seen` are not asked again."""
+    """Which points at least one of the poses measures, shape (m,).
+
+    Args:
+        scene: what blocks sight.
+        scanner: field, range, incidence, baseline.
+        X_OS: poses, shape (n, 4, 4) [m].
+        points: shape (m, 3) in O [m].
+        normals: outward unit normals, shape (m, 3).
+        seen: mask of points that are not asked again, shape (m,).
+    """
     found = np.zeros(len(points), bool) if seen is None else np.array(seen, dtype=bool)
     X_OS = np.asarray(X_OS, dtype=float).reshape(-1, 4, 4)
     for n in range(len(X_OS)):
@@ -268,7 +277,16 @@ def turns_see(
     *,
     poses: int = 30,
 ) -> np.ndarray:
-    """Which points each whole turn of the table before a pose X_OS (n, 4, 4) measures, shape (n, m)."""
+    """Which points each whole turn of the table before a pose measures, shape (n, m).
+
+    Args:
+        scene: what blocks sight.
+        scanner: field, range, incidence, baseline.
+        X_OS: poses, shape (n, 4, 4) [m].
+        points: shape (m, 3) in O [m].
+        normals: outward unit normals, shape (m, 3).
+        poses: frames in a turn.
+    """
     out = np.zeros((len(X_OS), len(points)), bool)
     step = max(1, 4_000_000 // max(poses * len(points), 1))
     for first in range(0, len(X_OS), step):
@@ -280,7 +298,12 @@ def turns_see(
 
 
 def revolution_poses(X_OS: np.ndarray, n: int = 60) -> np.ndarray:
-    """The pose (4, 4) seen from the object while the table turns once, shape (n, 4, 4)."""
+    """The pose seen from the object while the table turns once, shape (n, 4, 4).
+
+    Args:
+        X_OS: of the scanner at table angle zero, shape (4, 4) [m].
+        n: frames in the turn.
+    """
     return turns_about_z(-2 * np.pi * np.arange(n) / n) @ X_OS
 
 
@@ -319,8 +342,8 @@ def visible(
         scene: what blocks sight.
         scanner: range, incidence, baseline.
         points: shape (m, 3) in O [m].
-        normals: shape (m, 3).
-        seen: points that are known to be visible and are not tested, shape (m,).
+        normals: outward unit normals, shape (m, 3).
+        seen: mask of points that are known to be visible and are not tested, shape (m,).
         directions: over the whole hemisphere; a finer set finds narrower shafts.
     """
     found = np.zeros(len(points), bool) if seen is None else np.array(seen, dtype=bool)

@@ -82,17 +82,17 @@ def local_step(
 
     Args:
         points: the fused scan, shape (n, 3) in O [m].
-        normals: outward, shape (n, 3).
+        normals: outward unit normals, shape (n, 3).
         holes: their rims' normals add candidates that look straight in.
         scanner: field, range, incidence, baseline.
         spacing: of the points [m].
         table: where it is, and the room beside it.
         costs: what stations, turns and ways take in this cell.
         space: what the frames have looked through; None where the frames are not known.
-        claimed: targets that earlier rounds should have seen, shape (k, 3).
+        claimed: targets that earlier rounds should have seen, shape (k, 3) [m].
         model: of an earlier round, whose shape is kept but for what frames have looked through since; None
             makes one of the points.
-        reachable: tells which poses (n, 4, 4) the robot reaches; None for all.
+        reachable: tells which poses, shape (n, 4, 4) [m], the robot reaches; None for all.
         seconds: what the chosen may take together, roughly [s].
         explain: whether to say why what stays open does; reach is then asked of many more candidates.
         options: how finely to look.
@@ -157,7 +157,7 @@ def views_of_surface(
         solid: points of the surface, shape (k, 3) in O [m].
         table: where it is, and the room beside it.
         costs: what stations, turns and ways take in this cell.
-        reachable: tells which poses (n, 4, 4) the robot reaches; None for all.
+        reachable: tells which poses, shape (n, 4, 4) [m], the robot reaches; None for all.
         whole: area of the whole surface [m2].
         seconds: what the chosen may take together, roughly [s].
         options: how finely to look.

@@ -2,11 +2,12 @@
 
 Guarantee: left out are only solids that are fixed to one another, those of two links that a joint joins, and
 those that come nearer than the clearance in nearly all positions of the joints between them, inside the
-maker's limits: no motion could mend that. Everything else is kept apart.
+maker's limits: no motion could mend that. The convex pieces of a link's meshes count as one solid there.
+Everything else is kept apart.
 """
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from weakref import WeakKeyDictionary
 
 import fcl
@@ -79,7 +80,8 @@ def _reason(cell: Cell, low: Body, high: Body) -> str:
         return _JOINED
     if between not in _TRIES:
         return ""
-    share = _share_near(cell.robot, low, high, cell.settings.process.self_clearance_m)
+    asked = cell.settings.process.self_clearance_m
+    share = _share_near(cell.robot, _whole(cell, low), _whole(cell, high), asked)
     if share < NEARLY_ALWAYS:
         return ""
     return f"they meet in {share:.0%} of the positions of the joints between them"
@@ -95,30 +97,52 @@ def solid_key(body: Body) -> tuple:
     return body.link, body.shape, body.size, body.X_LG.tobytes(), points
 
 
-def _share_near(robot: Robot, low: Body, high: Body, clearance: float) -> float:
-    """Share of positions in which two solids are nearer than a clearance.
+def _whole(cell: Cell, body: Body) -> list[Body]:
+    """All pieces of the meshes of a solid's link, or the solid alone."""
+    if body.shape != "hull":
+        return [body]
+    return [
+        b
+        for b in cell.bodies
+        if b.shape == "hull" and (b.link, b.carrier, b.mesh) == (body.link, body.carrier, body.mesh)
+    ]
+
+
+def _share_near(robot: Robot, low: list[Body], high: list[Body], clearance: float) -> float:
+    """Share of positions in which two solids, each in pieces, are nearer than a clearance.
 
     It is exact from `NEARLY_ALWAYS` on; below, counting stops when that cannot be reached any more.
     """
     known = _KNOWN.setdefault(robot, {})
-    key = solid_key(low), solid_key(high), clearance
+    key = tuple(map(solid_key, low)), tuple(map(solid_key, high)), clearance
     if key not in known:
         known[key] = _counted(robot, low, high, clearance)
     return known[key]
 
 
-def _counted(robot: Robot, low: Body, high: Body, clearance: float) -> float:
-    X = positions_between(robot, low, high, _TRIES[min(high.link, 6) - low.link])
-    X = X[fixed_stream("pairs").permutation(len(X))]
-    first, second = fcl_object(low, low.X_LG), fcl_object(high, np.eye(4))
-    apart = np.linalg.norm(X[:, :3, 3] - low.X_LG[:3, 3], axis=1)
-    far = apart > np.linalg.norm(box_of(low)) + np.linalg.norm(box_of(high)) + clearance
-    misses, most = 0, (1 - NEARLY_ALWAYS) * len(X)
-    for n in range(len(X)):
-        misses += bool(far[n]) or not near(first, second, X[n], clearance)
+def _counted(robot: Robot, low: list[Body], high: list[Body], clearance: float) -> float:
+    tries = _TRIES[min(high[0].link, 6) - low[0].link]
+    count = tries ** (min(high[0].link, 6) - low[0].link)
+    order = fixed_stream("pairs").permutation(count)
+    pairs = []
+    for a, b in product(low, high):
+        X = positions_between(robot, a, b, tries)[order]
+        apart = np.linalg.norm(X[:, :3, 3] - a.X_LG[:3, 3], axis=1)
+        close = apart <= np.linalg.norm(box_of(a)) + np.linalg.norm(box_of(b)) + clearance
+        pairs.append((X, close, fcl_object(a, a.X_LG), fcl_object(b, np.eye(4))))
+    misses, most = 0, (1 - NEARLY_ALWAYS) * count
+    for n in range(count):
+        met = False
+        for k, (X, close, first, second) in enumerate(pairs):
+            if close[n] and near(first, second, X[n], clearance):
+                met = True
+                # What meets once meets again soon: it is asked first from now on.
+                pairs.insert(0, pairs.pop(k))
+                break
+        misses += not met
         if misses > most:
             return 0.0
-    return 1.0 - misses / len(X)
+    return 1.0 - misses / count
 
 
 def positions_between(robot: Robot, low: Body, high: Body, tries: int) -> np.ndarray:

@@ -1,7 +1,8 @@
 """Commands about robots: `reach`, `robots`."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -24,6 +25,13 @@ from scanmotion.cli.inputs import (
     part_and_source,
 )
 from scanmotion.core.errors import InputError
+
+if TYPE_CHECKING:
+    from scanmotion.cell.settings.cell import CellSettings
+    from scanmotion.core.part import Part
+    from scanmotion.core.viewpoint import Viewpoint
+    from scanmotion.motion.reach.diagnosis import Change
+    from scanmotion.motion.reach.find import Reach
 
 DISTANCES_M = (1.8, 2.0, 2.2, 2.4)
 HEIGHTS_M = (0.5, 0.7, 0.9)
@@ -83,7 +91,9 @@ def reach(
     return OK
 
 
-def find(settings: Any, subject: Any, views: tuple, progress: Progress) -> list:
+def find(
+    settings: "CellSettings", subject: "Part | None", views: "Sequence[Viewpoint]", progress: Progress
+) -> "list[Reach]":
     """The reach of a cell for some viewpoints."""
     from scanmotion.cell.build import build_cell
     from scanmotion.motion.reach.find import reach as find_reach
@@ -92,7 +102,7 @@ def find(settings: Any, subject: Any, views: tuple, progress: Progress) -> list:
 
 
 def sweep_rows(
-    settings: Any, subject: Any, views: tuple, progress: Progress
+    settings: "CellSettings", subject: "Part | None", views: "Sequence[Viewpoint]", progress: Progress
 ) -> list[dict[str, float | None]]:
     """Share of the viewpoints that can be reached, over the table's distance from the base and its height.
 
@@ -107,7 +117,7 @@ def sweep_rows(
     return rows
 
 
-def moved_table(settings: Any, distance: float, height: float) -> Any:
+def moved_table(settings: "CellSettings", distance: float, height: float) -> "CellSettings":
     """Settings with the table `distance` from the base on its present side and `height` high [m]."""
     import math
 
@@ -118,7 +128,7 @@ def moved_table(settings: Any, distance: float, height: float) -> Any:
     return settings.model_copy(update={"turntable": table})
 
 
-def _share(settings: Any, subject: Any, views: tuple) -> float | None:
+def _share(settings: "CellSettings", subject: "Part | None", views: "Sequence[Viewpoint]") -> float | None:
     from scanmotion.cell.build import build_cell
     from scanmotion.core.errors import CellError
     from scanmotion.motion.reach.find import ReachOptions
@@ -144,7 +154,9 @@ def _say_sweep(rows: list[dict[str, float | None]], *, quiet: bool, json: bool) 
         print_table("Share of the viewpoints that can be reached", header, lines)
 
 
-def draw_reach(found: list, subject: Any, settings: Any, path: Path) -> None:
+def draw_reach(
+    found: "Sequence[Reach]", subject: "Part | None", settings: "CellSettings", path: Path
+) -> None:
     """Writes a map of the viewpoints: served, or the cause why not."""
     from scanmotion.report.figures.maps import reach_map
 
@@ -153,15 +165,16 @@ def draw_reach(found: list, subject: Any, settings: Any, path: Path) -> None:
     reach_map([r.viewpoint for r in found], causes, subject, radius).savefig(path)
 
 
-def _views(path: Path | None, subject: Any, settings: Any) -> tuple:
+def _views(path: Path | None, subject: "Part | None", settings: "CellSettings") -> "tuple[Viewpoint, ...]":
     if path is None:
+        assert subject is not None
         return choose_viewpoints(subject, "box", settings, "default")[0]
     from scanmotion.export.viewpoints import read_viewpoints
 
     return tuple(read_viewpoints(path))
 
 
-def reach_record(item: Any) -> dict[str, Any]:
+def reach_record(item: "Reach") -> dict[str, object]:
     """What was found for one viewpoint, for JSON."""
     lost = item.unreachable
     return {
@@ -176,16 +189,15 @@ def reach_record(item: Any) -> dict[str, Any]:
     }
 
 
-def _change(change: Any) -> dict[str, float]:
+def _change(change: "Change | None") -> dict[str, float]:
     """The remedy as numbers: by how much the pedestal grows and the table goes away."""
     return {} if change is None else {"raise_m": change.raise_m, "shift_m": change.shift_m}
 
 
-def reach_row(item: Any) -> tuple[str, ...]:
+def reach_row(item: "Reach") -> tuple[str, ...]:
     """What was found for one viewpoint, as a row."""
-    record = reach_record(item)
-    lost = record["unreachable"]
-    clearance = "" if record["clearance_mm"] is None else f"{record['clearance_mm']:.0f}"
-    why = "" if lost is None else f"{lost['cause']}: {lost['detail']}"
-    remedy = "" if lost is None else lost["remedy"]
-    return (record["id"], str(record["configurations"]), record["solver"], clearance, why, remedy)
+    lost = item.unreachable
+    clearance = f"{float(item.clearance.max()) * 1e3:.0f}" if len(item.q) else ""
+    why = "" if lost is None else f"{lost.cause}: {lost.detail}"
+    remedy = "" if lost is None else lost.remedy
+    return (item.viewpoint.id, str(len(item.q)), item.solver, clearance, why, remedy)

@@ -2,13 +2,16 @@
 
 from math import degrees, isfinite
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from scanmotion.cli.app import OK, print_table
 from scanmotion.cli.inputs import Robot, write_text
 from scanmotion.core.errors import CellError, InputError
+
+if TYPE_CHECKING:
+    from scanmotion.cell.model import Cell
 
 cell_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode="rich", help="Start or check a description of your own cell."
@@ -54,7 +57,7 @@ def check(file: Annotated[Path, typer.Argument(help="YAML file of a cell.")]) ->
     return OK
 
 
-def check_home(cell: Any) -> None:
+def check_home(cell: "Cell") -> None:
     """Refuses a rest in which the robot would touch something, or come nearer than the clearance.
 
     Raises:

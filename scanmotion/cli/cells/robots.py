@@ -1,7 +1,7 @@
 """`scanmotion robots` and `scanmotion robots add`."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -9,10 +9,13 @@ from scanmotion.cli.app import OK, print_table, say_json
 from scanmotion.cli.inputs import Json, write_text
 from scanmotion.core.errors import InputError
 
+if TYPE_CHECKING:
+    from scanmotion.cell.settings.cell import CellSettings
+
 robots_app = typer.Typer(invoke_without_command=True, rich_markup_mode="rich")
 
 
-def robot_record(name: str, settings: Any) -> dict[str, Any]:
+def robot_record(name: str, settings: "CellSettings") -> dict[str, str | float]:
     """A built-in cell and the robot in it."""
     from scanmotion.cell.build import robot_facts
 

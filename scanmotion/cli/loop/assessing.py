@@ -1,13 +1,21 @@
 """`scanmotion assess`: a measured cloud or mesh held against its reference."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from scanmotion.cli.app import OK, print_table, progress_bar, say_json
+from scanmotion.cli.app import OK, Progress, print_table, progress_bar, say_json
 from scanmotion.cli.inputs import OUT, Json, Quiet, Units, check_file, check_known
 from scanmotion.core.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from scanmotion.core.part import Part
+    from scanmotion.report.assessment import Assessment
+    from scanmotion.sensing.metrology.artefacts import Ball
+    from scanmotion.sensing.metrology.deviations import DeviationLimits
 
 LIMITS = "What counts"
 
@@ -95,13 +103,12 @@ def assess(
         )
         from scanmotion.report.assessment import assessment_html, assessment_record, figure_rows
 
-        record = assessment_record(made)
         progress("write", 0.8)
-        write_assessment(out, made, record, assessment_html(made))
+        write_assessment(out, made, assessment_html(made))
     if json:
-        say_json(record)
+        say_json(assessment_record(made))
     elif not quiet:
-        rows = figure_rows(record) + [(k, str(v)) for k, v in (record["artefact"] or {}).items()]
+        rows = figure_rows(made) + [(k, str(v)) for k, v in (made.artefact or {}).items()]
         print_table("The assessment", (), [*rows, ("page", str(out / "assess.html"))])
     return OK
 
@@ -118,7 +125,7 @@ def check_assessment_folder(out: Path) -> None:
         raise InputError(f"--out {out}: holds something that is not an assessment; name another folder")
 
 
-def read_regions(path: Path) -> dict[str, Any]:
+def read_regions(path: Path) -> "dict[str, np.ndarray]":
     """Boxes by name, (2, 3) each in m.
 
     Raises:
@@ -141,9 +148,9 @@ def read_regions(path: Path) -> dict[str, Any]:
 
 
 def _assessed(
-    measured: tuple[Path, str], reference: tuple[Path, str], how: str, limits: Any, boxes: Any,
-    artefact: str | None, limit: float, progress: Any,
-) -> Any:  # fmt: skip
+    measured: tuple[Path, str], reference: tuple[Path, str], how: str, limits: "DeviationLimits",
+    boxes: "dict[str, np.ndarray] | None", artefact: str | None, limit: float, progress: Progress,
+) -> "Assessment":  # fmt: skip
     """Reads both, fits and compares."""
     from scanmotion.report.assessment import Assessment
     from scanmotion.sensing.metrology.alignment import aligned
@@ -173,7 +180,7 @@ def _assessed(
     )  # fmt: skip
 
 
-def artefact_figures(kind: str, points: Any, part: Any) -> dict[str, Any]:
+def artefact_figures(kind: str, points: "np.ndarray", part: "Part") -> dict[str, float]:
     """Figures on the measured points of an artefact, in mm; the reference mesh has the nominal values."""
     from scanmotion.sensing.metrology.artefacts import ball_bar_from, ball_from, plane_from
 
@@ -193,7 +200,7 @@ def artefact_figures(kind: str, points: Any, part: Any) -> dict[str, Any]:
     return {**figures, "sphere spacing": _mm(bar.spacing), "spacing error SD, D_CC": _mm(bar.spacing_error)}
 
 
-def _ball_figures(ball: Any) -> dict[str, Any]:
+def _ball_figures(ball: "Ball") -> dict[str, float]:
     return {
         "probing form PF (VDI/VDE 2634)": _mm(ball.form_all),
         "P_Form.Sph.D95% (ISO 10360-13)": _mm(ball.form_95),
@@ -206,18 +213,20 @@ def _mm(metres: float | None) -> float:
     return round(float(metres) * 1e3, 5)
 
 
-def write_assessment(out: Path, made: Any, record: dict[str, Any], html: str) -> None:
+def write_assessment(out: Path, made: "Assessment", html: str) -> None:
     """The folder, whole or not at all."""
     import json
 
     import numpy as np
 
     from scanmotion.plan_io.files import atomic_folder
+    from scanmotion.report.assessment import assessment_record
     from scanmotion.sensing.fusion.surface import deviation_mesh
 
     files: dict[str, bytes | str] = {
-        "assess.json": json.dumps(record, indent=1, allow_nan=False) + "\n", "assess.html": html
-    }  # fmt: skip
+        "assess.json": json.dumps(assessment_record(made), indent=1, allow_nan=False) + "\n",
+        "assess.html": html,
+    }
     if made.reference.is_mesh:
         none = np.zeros((0, 3), np.int64)
         files["deviation.ply"] = deviation_mesh(

@@ -1,7 +1,7 @@
 """`scanmotion calibrate`: the constant errors of a cell from frames, and the turns that tell them best."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -62,7 +62,7 @@ def calibrate(
     return OK if found.determined else CHECK_FAILED
 
 
-def _text(value: Any) -> str:
+def _text(value: float | list[float]) -> str:
     many = value if isinstance(value, list) else [value]
     return "  ".join(f"{v:+.4f}" for v in many)
 

@@ -1,7 +1,8 @@
 """`scanmotion job`: the loop of a real scan, from the first programme to the fused model."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,6 +21,9 @@ from scanmotion.cli.inputs import (  # fmt: skip
     check_suffix,
 )
 from scanmotion.core.errors import InputError
+
+if TYPE_CHECKING:
+    from scanmotion.job.store import Job
 
 job_app = typer.Typer(
     no_args_is_help=True, help="A real scan, step by step: programme, frames, what is missing, model."
@@ -192,13 +196,13 @@ def model(
     return _told(told, json, quiet)
 
 
-def _state(job: Any) -> dict[str, Any]:
+def _state(job: "Job") -> dict[str, object]:
     from scanmotion.job.flow import state_of
 
     return state_of(job)
 
 
-def _told(told: dict[str, Any], json: bool, quiet: bool) -> int:
+def _told(told: Mapping[str, object], json: bool, quiet: bool) -> int:
     """Says a flat record."""
     if json:
         say_json(told)

@@ -45,7 +45,7 @@ def paper(
     subject, _ = part_and_source(part, None, None, units=units, up=up)
     import json as files
 
-    from scanmotion.report.paper import paper_experiments, paper_html, paper_record
+    from scanmotion.report.paper import budgets_kept, paper_experiments, paper_html, paper_record
 
     with progress_bar(quiet=quiet or json) as progress:
         found = paper_experiments(subject, settings, seeds=range(seeds), progress=progress)
@@ -55,16 +55,16 @@ def paper(
     if json:
         say_json(record)
     elif not quiet:
-        tour = record["tour_mm"]
+        before, after = found.tour.at_random * 1e3, found.tour.optimised * 1e3
         rows = [
-            ("tour over the local viewpoints", f"{tour['at_random']:.1f} -> {tour['optimised']:.1f} mm"),
+            (
+                "tour over the local viewpoints",
+                f"{before:.1f} -> {after:.1f} mm",
+            ),
             ("the paper's", "763.9 -> 585.7 mm"),
             *(
-                (
-                    f"budget of {b['paper']:g} s ({n})",
-                    f"{b['ours']:.1f} s, {'kept' if b['kept'] else 'NOT kept'}",
-                )
-                for n, b in record["budgets_s"].items()
+                (f"budget of {limit:g} s ({name})", f"{ours:.1f} s, {'kept' if kept else 'NOT kept'}")
+                for name, limit, ours, kept in budgets_kept(found)
             ),
             ("page", str(out)),
         ]

@@ -1,7 +1,8 @@
 """`scanmotion compare`."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,6 +21,9 @@ from scanmotion.cli.inputs import (  # fmt: skip
     part_and_source,
     write_text,
 )
+
+if TYPE_CHECKING:
+    from scanmotion.planning.worth.comparison import Row
 
 
 def compare(
@@ -66,7 +70,7 @@ def compare(
     return OK
 
 
-def _write(out: Path, name: str, rows: tuple) -> None:
+def _write(out: Path, name: str, rows: Sequence["Row"]) -> None:
     """Both forms of the table, whichever of the two was named."""
     import json
 

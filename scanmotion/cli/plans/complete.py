@@ -2,7 +2,7 @@
 
 import html as markup
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from scanmotion.cli.app import print_table, say_json
 
@@ -17,22 +17,20 @@ def is_complete(made: "Plan") -> bool:
     return made.options.source == "scan" and made.trajectory is None and not made.left_out
 
 
-def write_answer(made: "Plan", out: Path, *, html: bool) -> dict[str, Any]:
-    """Writes summary.json and report.html into a folder that holds no plan, and returns the summary."""
+def write_answer(made: "Plan", out: Path, *, html: bool) -> None:
+    """Writes summary.json and report.html into a folder that holds no plan."""
     import json
 
-    summary = summary_of(made)
     out.mkdir(parents=True, exist_ok=True)
     for stale in out.iterdir():
         if stale.is_file():
             stale.unlink()
-    (out / "summary.json").write_text(json.dumps(summary, indent=1, allow_nan=False) + "\n")
+    (out / "summary.json").write_text(json.dumps(summary_of(made), indent=1, allow_nan=False) + "\n")
     if html:
-        (out / "report.html").write_text(page_of(made, summary), encoding="utf-8")
-    return summary
+        (out / "report.html").write_text(page_of(made), encoding="utf-8")
 
 
-def summary_of(made: "Plan") -> dict[str, Any]:
+def summary_of(made: "Plan") -> dict[str, object]:
     """What summary.json says where there is no programme."""
     part, tiny = made.part, made.holes.tiny if made.holes is not None else ()
     return {
@@ -55,7 +53,7 @@ def summary_of(made: "Plan") -> dict[str, Any]:
     }
 
 
-def page_of(made: "Plan", summary: dict[str, Any]) -> str:
+def page_of(made: "Plan") -> str:
     """The report: the answer, what was read, and a picture of the scan."""
     import base64
     import io
@@ -69,9 +67,9 @@ def page_of(made: "Plan", summary: dict[str, Any]) -> str:
         data = base64.b64encode(buffer.getvalue()).decode("ascii")
         picture = f'<img alt="the scan" style="max-width:100%" src="data:image/png;base64,{data}">'
     lines = [ANSWER[0].upper() + ANSWER[1:] + "."]
-    if tiny := summary["holes"]["tiny"]:
+    if tiny := len(made.holes.tiny) if made.holes is not None else 0:
         lines.append(f"{tiny} gaps are too small to be planned for.")
-    lines += [f"{p['area_mm2']:g} mm2 stay open: {p['reason']}." for p in summary["unscanned"]]
+    lines += [f"{area} stay open: {reason}." for area, reason in _open(made)]
     if made.part.report is not None:
         lines.append(f"Read: {made.part.report.line}.")
     rows = "".join(f"<p>{markup.escape(line)}</p>" for line in lines)
@@ -83,13 +81,18 @@ def page_of(made: "Plan", summary: dict[str, Any]) -> str:
     )
 
 
-def say_answer(summary: dict[str, Any], out: Path, *, html: bool, quiet: bool, json: bool) -> None:
+def _open(made: "Plan") -> list[tuple[str, str]]:
+    """How much surface stays open, and why, patch by patch."""
+    return [(f"{round(float(patch.area) * 1e6, 1):g} mm2", patch.reason) for patch in made.unscanned]
+
+
+def say_answer(made: "Plan", out: Path, *, html: bool, quiet: bool, json: bool) -> None:
     """One line, and where the files are."""
     if json:
-        say_json(summary)
+        say_json(summary_of(made))
     elif not quiet:
-        open_ = [(f"{p['area_mm2']:g} mm2 stay open", p["reason"]) for p in summary["unscanned"]]
-        print_table("The scan", (), [("answer", summary["answer"]), *open_])
+        open_ = [(f"{area} stay open", reason) for area, reason in _open(made)]
+        print_table("The scan", (), [("answer", ANSWER), *open_])
         names = ["summary.json"] + (["report.html"] if html else [])
         print_table("Files", (), [(name.split(".")[0], str(out / name)) for name in names])
 

@@ -201,7 +201,7 @@ def plan(
     placing = placing_from(placements, forbid)
     only_with_keep(keep, done, failed, part=part, box=box, scan=scan, robot=robot, cell=cell)
     own = own_views_from(viewpoints, order, placements=placements, keep=keep, motion=motion)
-    subject = answer = None
+    subject = None
     check_budget(budget)
     noted = meta_from(meta or ())
     from scanmotion.planning.options import PlanOptions
@@ -231,13 +231,13 @@ def plan(
         made = request.planned(progress)
         made = replace(made, meta={**made.meta, **noted})
         if is_complete(made):
-            answer = write_answer(made, out, html=html)
+            write_answer(made, out, html=html)
         else:
             made.save(out, pages=partial(pages, progress=progress) if html else None)
     if subject is not None:
         say_read(subject, quiet=quiet or json)
-    if answer is not None:
-        say_answer(answer, out, html=html, quiet=quiet, json=json)
+    if is_complete(made):
+        say_answer(made, out, html=html, quiet=quiet, json=json)
         return OK
     summary = read_summary(out)
     if json:

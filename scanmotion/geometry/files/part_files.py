@@ -4,6 +4,7 @@ A file is read whole or refused in one clear line. Every count that a header cla
 file's size before anything is allocated. docs/files.md says what each reader understands.
 """
 
+import mmap
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,15 +20,20 @@ from scanmotion.geometry.files.formats.obj import read_obj, read_off
 from scanmotion.geometry.files.formats.ply_read import read_ply
 from scanmotion.geometry.files.formats.stl import read_stl
 from scanmotion.geometry.files.in_process import read_by_library
-from scanmotion.geometry.files.raw import MAX_TRIANGLES, RawGeometry
+from scanmotion.geometry.files.raw import RawGeometry
 from scanmotion.geometry.files.strangers import content_kind, stranger_by_content, stranger_by_name
+from scanmotion.geometry.files.thin import MAX_TEXT, MAX_TRIANGLES, lines_by_number, stride_of, thinned
 
 __all__ = ["MAX_BYTES", "MAX_TRIANGLES", "MESHES", "SUFFIXES", "RawGeometry", "read_geometry"]
 
 MAX_BYTES = 4 << 30
+"""Of files that are read whole. A binary STL is read piece by piece, a text cloud's lines are thinned."""
+_MAPPED = 1 << 28
+"""A larger STL is looked at where it lies, not copied."""
+_TIMES, _LEAST = 5, 1 << 30
+"""Reading and mending takes some GiB, and memory of so many times the file."""
 _READERS: dict[str, Callable[[bytes], RawGeometry]] = {
     ".ply": read_ply,
-    ".stl": read_stl,
     ".obj": read_obj,
     ".off": read_off,
     ".pcd": read_pcd,
@@ -35,7 +41,7 @@ _READERS: dict[str, Callable[[bytes], RawGeometry]] = {
 }
 _LIBRARIES = (".glb", ".gltf", ".3mf", ".e57")
 _TEXTS = (".xyz", ".asc", ".txt", ".csv", ".pts", ".xyzn", ".xyzrgb", ".neu")
-SUFFIXES = (*_READERS, *_LIBRARIES, *_TEXTS)
+SUFFIXES = (*_READERS, ".stl", *_LIBRARIES, *_TEXTS)
 MESHES = (".ply", ".stl", ".obj", ".off", ".glb", ".gltf", ".3mf")
 
 
@@ -58,12 +64,10 @@ def read_geometry(path: str | Path) -> RawGeometry:
     size = path.stat().st_size
     if size == 0:
         raise PartError("the file is empty", path=str(path))
-    if size > MAX_BYTES:
-        raise PartError(
-            f"{size / 2**30:.1f} GiB is more than the {MAX_BYTES >> 30} GiB allowed", path=str(path)
-        )
     try:
-        return _read(path, suffix)
+        return thinned(_read(path, suffix))
+    except MemoryError:
+        raise PartError("needs more memory than there is; decimate it", path=str(path)) from None
     except PartError as error:
         raise PartError(str(error), path=str(path)) from None
     except (ValueError, IndexError, KeyError, OverflowError, TypeError, struct.error) as error:
@@ -82,14 +86,59 @@ def _read(path: Path, suffix: str) -> RawGeometry:
         if kind != suffix:
             raise PartError(f"its content is that of a {kind[1:].upper()} file; name it so")
         return read_by_library(path)
-    data = path.read_bytes()
-    if not head.strip(b"\0") and not data.strip(b"\0"):
+    data, note = _content(path, kind)
+    if not head.strip(b"\0") and not data[:].strip(b"\0"):
         raise PartError("holds nothing but zeros: writing or copying it failed")
     # Damaged numbers (signalling NaN, infinities) are found and said later; numpy need not warn of them.
     with np.errstate(all="ignore"):
-        raw = read_text_cloud(data, kind[1:].upper()) if kind in _TEXTS else _READERS[kind](data)
+        if kind in _TEXTS:
+            raw = read_text_cloud(data[:], kind[1:].upper(), whole=not note)
+        else:
+            raw = read_stl(data) if kind == ".stl" else _READERS[kind](data[:])
+    if note:
+        raw = replace(raw, notes=(note, *raw.notes))
     if kind != suffix:
         raw = replace(
             raw, notes=(f"its ending says {suffix[1:].upper()}, its content {raw.format}", *raw.notes)
         )
     return raw
+
+
+def _content(path: Path, kind: str) -> tuple[bytes | mmap.mmap, str]:
+    """The bytes of a file, and what is to be said if they are not all.
+
+    Raises:
+        PartError: it is too large to be read whole.
+    """
+    size = path.stat().st_size
+    if kind in _TEXTS and (every := stride_of(size, MAX_TEXT)) > 1:
+        _check_memory(MAX_TEXT)
+        return lines_by_number(path, every), f"its lines were thinned: one of {every} was read"
+    if kind == ".stl" and size > _MAPPED:
+        with path.open("rb") as file:
+            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ), ""
+    if size > MAX_BYTES:
+        raise PartError(
+            f"{size / 2**30:.1f} GiB is more than the {MAX_BYTES >> 30} GiB that are read of its kind; "
+            "as binary STL or text cloud it is thinned"
+        )
+    _check_memory(size)
+    return path.read_bytes(), ""
+
+
+def _check_memory(size: int) -> None:
+    """Refuses what would take more memory than is free, where the system tells: it would be killed.
+
+    Raises:
+        PartError: with both.
+    """
+    needed = _TIMES * size + _LEAST
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        free = next(int(x.split()[1]) << 10 for x in lines if x.startswith("MemAvailable"))
+    except (OSError, StopIteration, ValueError, IndexError):
+        return
+    if size > 1 << 28 and needed > free:
+        raise PartError(
+            f"needs some {needed / 2**30:.0f} GiB of memory, {free / 2**30:.1f} GiB are free; decimate it"
+        )

@@ -7,7 +7,6 @@ import numpy as np
 
 from scanmotion.core.errors import PartError
 
-MAX_TRIANGLES = 50_000_000
 NO_TRIANGLES = np.zeros((0, 3), np.int64)
 
 
@@ -73,13 +72,9 @@ def checked_triangles(faces: np.ndarray, n_vertices: int) -> np.ndarray:
     """Triangles as int64 (m, 3) whose corners exist.
 
     Raises:
-        PartError: a corner that does not exist, or more triangles than are read.
+        PartError: a corner that does not exist.
     """
     triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
-    if len(triangles) > MAX_TRIANGLES:
-        raise PartError(
-            f"{len(triangles)} triangles are more than the {MAX_TRIANGLES} allowed; decimate the mesh"
-        )
     if len(triangles) and (triangles.min() < 0 or triangles.max() >= n_vertices):
         wrong = int(triangles.min() if triangles.min() < 0 else triangles.max())
         raise PartError(f"a face points at vertex {wrong} of {n_vertices}")

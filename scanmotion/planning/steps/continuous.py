@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from pydantic import JsonValue
 
 from scanmotion.cell.build import Cell
 from scanmotion.cell.collision.clearance import Clearance
@@ -79,7 +80,7 @@ class ContinuousProgramme:
     tour: Tour
     paths: tuple[Path, ...]
     trajectory: Trajectory
-    record: dict[str, Any]
+    record: dict[str, JsonValue]
     """`motion` of the summary."""
 
 
@@ -219,7 +220,7 @@ def _standoffs(scene: Scene, X_OS: np.ndarray, scanner: Scanner) -> list[float]:
     return [float(d) if near <= d <= far else 0.5 * (near + far) for d in hit]
 
 
-def _record(best: TriedMotion, tried: list[TriedMotion]) -> dict[str, Any]:
+def _record(best: TriedMotion, tried: list[TriedMotion]) -> dict[str, JsonValue]:
     curve = sorted((round(t.seconds, 2), round(t.completeness, 6)) for t in tried)
     return {
         "kind": "continuous", "seconds": round(best.seconds, 2),

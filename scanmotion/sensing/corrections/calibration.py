@@ -14,6 +14,7 @@ import numpy as np
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.support.streams import fixed_stream
+from scanmotion.geometry.column_products import column_products
 from scanmotion.sensing.fusion.fuse import surface_groups
 from scanmotion.sensing.simulator.captures import Captures, ScanErrors, inverse, true_poses
 from scanmotion.sensing.simulator.simulate import Scan
@@ -108,9 +109,9 @@ def _estimated(scans: Sequence[Scan], asked: np.ndarray, voxel: float, turns: in
         after = float(np.sqrt((w * r * r).sum() / w.sum()))
         before = after if turn == 0 else before
         J, r = _without_spot_means(J, r, w, spot)
-        information = J.T @ (w[:, None] * J) / after**2
+        information = column_products(J, w[:, None] * J) / after**2
         inverse_information = np.linalg.inv(information + prior)
-        theta[use] -= inverse_information @ (J.T @ (w * r) / after**2 + prior @ theta[use])
+        theta[use] -= inverse_information @ (column_products(J, w * r) / after**2 + prior @ theta[use])
         covariance = _covariance(J, w * r / after**2, frame, inverse_information, prior)
         arcs = _by_arcs(J, w / after**2, r, frame, prior)
     sd = np.zeros(len(PARAMETERS))
@@ -210,7 +211,7 @@ def _covariance(
     frames, unknowns = len(np.unique(frame)), J.shape[1]
     if frames <= unknowns:
         return np.linalg.inv(prior)
-    return bread @ (by_frame.T @ by_frame * frames / (frames - unknowns) + prior) @ bread
+    return bread @ (column_products(by_frame, by_frame) * frames / (frames - unknowns) + prior) @ bread
 
 
 def _by_arcs(J: np.ndarray, w: np.ndarray, r: np.ndarray, frame: np.ndarray, prior: np.ndarray) -> np.ndarray:
@@ -223,11 +224,12 @@ def _by_arcs(J: np.ndarray, w: np.ndarray, r: np.ndarray, frame: np.ndarray, pri
     count = min(max(len(frames) // 8, 2), 24)
     arc = (np.searchsorted(frames, frame) * count) // max(len(frames), 1)
     steps = np.zeros((count, J.shape[1]))
-    total = J.T @ (w[:, None] * J) + prior
+    total = column_products(J, w[:, None] * J) + prior
     for k in range(count):
         mine = arc == k
         j = J[mine]
-        steps[k] = np.linalg.solve(total - j.T @ (w[mine, None] * j), j.T @ (w * r)[mine])
+        others = total - column_products(j, w[mine, None] * j)
+        steps[k] = np.linalg.solve(others, column_products(j, (w * r)[mine]))
     return (count - 1) / count * ((steps - steps.mean(axis=0)) ** 2).sum(axis=0)
 
 

@@ -16,6 +16,7 @@ from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
 from scanmotion.core.support.streams import Streams
 from scanmotion.core.viewpoint import look_at
+from scanmotion.geometry.column_products import column_products
 from scanmotion.sensing.corrections.calibration import Calibration, calibrate, prior_information, slopes
 from scanmotion.sensing.simulator.captures import ScanErrors
 from scanmotion.sensing.simulator.simulate import Scan, simulate
@@ -141,6 +142,6 @@ def _informations(scans: Sequence[Scan]):
             np.stack([np.bincount(s, weights=j[:, i]) for i in range(j.shape[1])], axis=1) / count[:, None]
         )
         j = j - means[s]
-        return float(np.linalg.slogdet(j.T @ j / sigma**2 + np.eye(len(scale)))[1])
+        return float(np.linalg.slogdet(column_products(j, j) / sigma**2 + np.eye(len(scale)))[1])
 
     return worth

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import InputError
+from scanmotion.geometry.column_products import column_products
 from scanmotion.sensing.fusion.fuse import Cloud
 from scanmotion.sensing.simulator.captures import inverse, motion
 
@@ -206,12 +207,12 @@ def _step(partners: list[_Pairs], sheets: list[_Sheet], X: np.ndarray) -> np.nda
         Ji = _rows(p, _centre(sheets[p.i], X[p.i]), sheets[p.i].size)
         Jj = -_rows(p, _centre(sheets[p.j], X[p.j]), sheets[p.j].size)
         si, sj = slice(6 * p.i, 6 * p.i + 6), slice(6 * p.j, 6 * p.j + 6)
-        A[si, si] += Ji.T @ (w * Ji)
-        A[sj, sj] += Jj.T @ (w * Jj)
-        A[si, sj] += Ji.T @ (w * Jj)
-        A[sj, si] += Jj.T @ (w * Ji)
-        b[si] -= Ji.T @ (w[:, 0] * p.distance)
-        b[sj] -= Jj.T @ (w[:, 0] * p.distance)
+        A[si, si] += column_products(Ji, w * Ji)
+        A[sj, sj] += column_products(Jj, w * Jj)
+        A[si, sj] += column_products(Ji, w * Jj)
+        A[sj, si] += column_products(Jj, w * Ji)
+        b[si] -= column_products(Ji, w[:, 0] * p.distance)
+        b[sj] -= column_products(Jj, w[:, 0] * p.distance)
     values, vectors = np.linalg.eigh(A[6:, 6:])
     keep = values > 1e-6 * max(float(values.max(initial=0.0)), 1e-12)
     step = vectors[:, keep] @ ((vectors[:, keep].T @ b[6:]) / values[keep])
@@ -241,7 +242,7 @@ def _information(mine: list[_Pairs], w: np.ndarray, centre: np.ndarray, size: fl
         return np.zeros((6, 6))
     J = np.concatenate([_rows(p, centre, size) for p in mine])
     own = np.concatenate([_rows(replace(p, normal=p.own), centre, size) for p in mine])
-    A = J.T @ (w[:, None] * own)
+    A = column_products(J, w[:, None] * own)
     return (A + A.T) / 2
 
 

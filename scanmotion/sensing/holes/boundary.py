@@ -126,7 +126,7 @@ def oriented_normals(
 
     Args:
         points: cloud, shape (n, 3) [m].
-        view_directions: directions point -> sensor, shape (n, 3); the sensor saw the outside. Without them
+        view_directions: unit vectors point -> sensor, shape (n, 3); the sensor saw the outside. Without them
             the signs are carried along a minimum spanning tree (see `orient`).
         k: neighbours of the plane fit, the point included.
 

@@ -300,7 +300,8 @@ def holes_from_mesh(
     """Finds the holes of a triangle mesh.
 
     Args:
-        vertices: shape (n, 3) [m]. triangles: counter-clockwise seen from outside, shape (m, 3).
+        vertices: shape (n, 3) [m].
+        triangles: indices of vertices, counter-clockwise seen from outside, shape (m, 3).
         method: "loops" walks the mesh's own boundary edges; "resample" spreads points evenly over the
             triangles and looks for holes in those (paper section 3.1; for meshes with torn topology).
         spacing: of the resampled points [m]; the median edge unless given.

@@ -17,6 +17,7 @@ import numpy as np
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
 from scanmotion.core.support.threads import allowed_threads
+from scanmotion.geometry.column_products import column_products
 from scanmotion.sensing.assess import raycaster
 from scanmotion.sensing.simulator.captures import motion
 
@@ -157,7 +158,7 @@ def _equations(
     d, g = _distances(p, scene)
     w = _weights(d, reach)
     J = np.hstack([g, np.cross(p - centre, g) / size])
-    return J.T @ (w[:, None] * J), -J.T @ (w * d), centre, size
+    return column_products(J, w[:, None] * J), -column_products(J, w * d), centre, size
 
 
 def _fitted(points: np.ndarray, scene: Any, X: np.ndarray, reach: float, *, turns: int = 60) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 from scanmotion.core.errors import PartError
 from scanmotion.geometry.files.formats.text import plain_text, text_step, text_table
 from scanmotion.geometry.files.raw import NO_TRIANGLES, RawGeometry, float_step
+from scanmotion.geometry.files.thin import MAX_POINTS, stride_of
 
 _LETTERS = {"F": "f", "U": "u", "I": "i"}
 _MOST_PACKED = 300
@@ -30,6 +31,8 @@ def read_pcd(data: bytes) -> RawGeometry:
     layout, repeats = _layout(fields, header)
     kind = header["DATA"][0].lower() if header["DATA"] else ""
     columns = _columns(data, at, kind, layout, repeats, count)
+    every = stride_of(count, MAX_POINTS)
+    columns = {name: column[::every] for name, column in columns.items()} if every > 1 else columns
     points = np.column_stack([columns[axis] for axis in "xyz"]).astype(float)
     names = ("normal_x", "normal_y", "normal_z")
     normals = (
@@ -37,7 +40,7 @@ def read_pcd(data: bytes) -> RawGeometry:
     )
     said = [f"normals: {', '.join(names)}"] if normals is not None else []
     said += [f"colours: {n}" for n in ("rgb", "rgba") if n in columns]
-    notes = []
+    notes = [f"its points were thinned: one of {every} was read"] if every > 1 else []
     if header.get("VIEWPOINT", [])[:7] not in ([], ["0", "0", "0", "1", "0", "0", "0"]):
         notes.append("its VIEWPOINT was not applied: the points are taken as they stand")
     single = dict(layout)["x"][1] == "4"

@@ -18,12 +18,13 @@ _HOW = {
 }
 
 
-def read_text_cloud(data: bytes, kind: str) -> RawGeometry:
+def read_text_cloud(data: bytes, kind: str, *, whole: bool = True) -> RawGeometry:
     """Reads points from lines of numbers.
 
     Args:
         data: the file.
         kind: its ending in capital letters, for the report.
+        whole: whether all lines are there, so that a count at the top must fit.
 
     Raises:
         PartError: no points, or lines that are not understood.
@@ -38,7 +39,7 @@ def read_text_cloud(data: bytes, kind: str) -> RawGeometry:
     plain = plain_numbers(body, dialect)
     if b"#" in plain or b"//" in plain:
         plain = re.sub(rb"(#|//)[^\n]*", b"", plain)
-    table, kept, width, said = _table(plain, count)
+    table, kept, width, said = _table(plain, count, whole)
     names, unit = names_of(head, width, dialect)
     taken = columns_taken(table, tuple(names[i] for i in kept) if names else ())
     unit = unit or taken.unit
@@ -52,7 +53,7 @@ def read_text_cloud(data: bytes, kind: str) -> RawGeometry:
     )  # fmt: skip
 
 
-def _table(text: bytes, count: int | None) -> tuple[np.ndarray, list[int], int, list[str]]:
+def _table(text: bytes, count: int | None, whole: bool) -> tuple[np.ndarray, list[int], int, list[str]]:
     """Rows of numbers, which columns of the file they are, of how many, and what is odd about the lines."""
     notes: list[str] = []
     lines = lines_of(text)
@@ -89,7 +90,7 @@ def _table(text: bytes, count: int | None) -> tuple[np.ndarray, list[int], int, 
         )
     width = least if uneven else usual
     table, kept = _numeric(text, width, notes)
-    if claimed is not None and claimed != len(table):
+    if whole and claimed is not None and claimed != len(table):
         if claimed > len(table):
             raise PartError(f"is cut short: it claims {claimed} points and holds {len(table)}")
         notes.append(f"it claims {claimed} points and holds {len(table)}")

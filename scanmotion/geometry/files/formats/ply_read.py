@@ -33,6 +33,7 @@ from scanmotion.geometry.files.raw import (
     triangulated,
     whole_numbers,
 )
+from scanmotion.geometry.files.thin import MAX_POINTS, stride_of
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -147,8 +148,12 @@ def _geometry(header: Header, tables: dict[str, PlyTable], data: bytes) -> RawGe
     vertex = next((tables[n] for n in VERTEX_NAMES if n in tables), None)
     if vertex is None or not all(axis in vertex.columns for axis in "xyz"):
         raise PartError("PLY file without vertex coordinates x, y, z")
-    points = np.column_stack([vertex.columns[axis] for axis in "xyz"]).astype(float)
     pieces, notes = [], []
+    every = stride_of(len(vertex.columns["x"]), MAX_POINTS)
+    if every > 1 and not any(t.faces for t in tables.values()):
+        vertex = PlyTable(columns={name: column[::every] for name, column in vertex.columns.items()})
+        notes.append(f"its points were thinned: one of {every} was read")
+    points = np.column_stack([vertex.columns[axis] for axis in "xyz"]).astype(float)
     for name, table in tables.items():
         if name in VERTEX_NAMES:
             continue

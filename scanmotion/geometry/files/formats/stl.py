@@ -1,34 +1,59 @@
 """STL, binary and ASCII, as programs really write it."""
 
+import mmap
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
 from scanmotion.core.errors import PartError
 from scanmotion.geometry.files.formats.text import numbers, plain_text, stated_unit, text_blocks, text_step
 from scanmotion.geometry.files.raw import RawGeometry, checked_triangles, float_step
+from scanmotion.geometry.files.thin import CHUNK, MAX_TRIANGLES, clustered
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _NUMBER = rb"(?:[-+.\d]\S*|nan\S*|inf\S*)"
 _VERTEX = re.compile(
     rb"\bvertex\s+(" + _NUMBER + rb"\s+" + _NUMBER + rb"\s+" + _NUMBER + rb")", re.IGNORECASE
 )
+_HEAD = 4096
 _UNTOLD = (0, 0xFFFFFFFF)
 """Counts of programs that write facets before they know how many."""
 
 
-def read_stl(data: bytes) -> RawGeometry:
+def read_stl(data: bytes | mmap.mmap) -> RawGeometry:
     """Reads an STL of one solid or several.
 
     Raises:
         PartError: cut short, or neither binary nor ASCII.
     """
-    if _is_text(data):
-        corners, notes, step = _ascii(data)
-        kind, doubts, unit = "ASCII", (), stated_unit(data[:200].split(b"\n")[0])
-    else:
-        corners, notes, doubts = _binary(data)
-        step, kind, unit = float_step(corners.reshape(-1, 3)), "binary", stated_unit(data[:80])
+    if _is_text(data[:_HEAD], len(data)):
+        corners, notes, step = _ascii(data[:])
+        return _soup(corners, "ASCII", notes, step, stated_unit(data[:200].split(b"\n")[0]), ())
+    facets, notes = _binary(data)
+    unit, total = stated_unit(data[:80]), sum(map(len, facets))
+    if total <= MAX_TRIANGLES:
+        table = np.concatenate(facets)
+        corners = table["corners"].astype(float)
+        doubts = _against_winding(corners, table["normal"].astype(float))
+        return _soup(corners, "binary", notes, float_step(corners.reshape(-1, 3)), unit, doubts)
+
+    def chunks() -> Iterable[np.ndarray]:
+        for table in facets:
+            for at in range(0, len(table), CHUNK):
+                yield table["corners"][at : at + CHUNK]
+
+    vertices, triangles, said = clustered(chunks, total)
+    return RawGeometry(
+        vertices=vertices, triangles=triangles, format="STL, binary", notes=(*notes, said),
+        step=float_step(vertices), units=unit, units_from="its header" if unit else "",
+    )  # fmt: skip
+
+
+def _soup(
+    corners: np.ndarray, kind: str, notes: tuple[str, ...], step: float, unit: str, doubts: tuple[str, ...]
+) -> RawGeometry:
+    """Triangles (m, 3, 3) that share no vertex."""
     vertices = corners.reshape(-1, 3)
     return RawGeometry(
         vertices=vertices, triangles=checked_triangles(np.arange(len(vertices)), len(vertices)),
@@ -37,20 +62,20 @@ def read_stl(data: bytes) -> RawGeometry:
     )  # fmt: skip
 
 
-def _is_text(data: bytes) -> bool:
+def _is_text(data: bytes, size: int) -> bool:
     """Whether this is ASCII: many binary files too begin with "solid"."""
     if data.startswith((b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf")):
         return True
     if len(data) >= 84:
         claimed = int(np.frombuffer(data, "<u4", 1, 80)[0])
-        if len(data) == 84 + 50 * claimed:
+        if size == 84 + 50 * claimed:
             return False
-    head = data[:4096]
+    head = data
     words = head.lower().split()
     return bool(words) and (words[0] == b"solid" or b"vertex" in words) and head.count(b"\0") == 0
 
 
-def _binary(data: bytes) -> tuple[np.ndarray, tuple[str, ...], tuple[str, ...]]:
+def _binary(data: bytes | mmap.mmap) -> tuple[list[np.ndarray], tuple[str, ...]]:
     if len(data) < 84:
         raise PartError(f"is not an STL file: {len(data)} bytes are fewer than a header")
     facets, notes, at = [], [], 0
@@ -77,16 +102,14 @@ def _binary(data: bytes) -> tuple[np.ndarray, tuple[str, ...], tuple[str, ...]]:
         facets, at = [whole], len(data)
     if at < len(data):
         notes.append(f"{len(data) - at} bytes after the last facet were left out")
-    table = np.concatenate(facets)
-    corners = table["corners"].astype(float)
-    return corners, tuple(notes), _against_winding(corners, table["normal"].astype(float))
+    return facets, tuple(notes)
 
 
 def _wrong_count(claimed: int, there: int) -> str:
     return f"its header claims {claimed} triangles; the {there} that the file has room for were read"
 
 
-def _facets_beyond(data: bytes, known: np.ndarray) -> np.ndarray | None:
+def _facets_beyond(data: bytes | mmap.mmap, known: np.ndarray) -> np.ndarray | None:
     """All facets that the file has room for, if what follows those that are claimed are facets too."""
     if (len(data) - 84) % 50 or not len(known):
         return None
