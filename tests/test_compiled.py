@@ -30,7 +30,7 @@ finally:
 
 def test_every_listed_kernel_is_there_and_takes_so_many_arguments():
     rows = listed_kernels()
-    assert len({row[:3] for row in rows}) == len(rows) > 40
+    assert len({row[:3] for row in rows}) == len(rows) > 30
     for module, name, kinds, weight in rows:
         kernel = getattr(importlib.import_module(module), name)
         assert len(arguments_from(kinds)) == kernel.py_func.__code__.co_argcount, (module, name)

@@ -9,6 +9,7 @@ when it is first called, as ever.
     python -m scanmotion.geometry.compiled
 """
 
+import ast
 import hashlib
 import importlib
 import json
@@ -51,9 +52,18 @@ def arguments_from(kinds: str) -> tuple[Any, ...]:
     """
     from numba import types
 
-    names = {name: getattr(types, name) for name in dir(types)}
-    names |= {"bool": types.boolean, "__builtins__": {}}
-    return tuple(eval(kinds, names))  # our own file
+    def value(node: ast.expr) -> Any:
+        if isinstance(node, ast.Constant):
+            return node.value
+        if isinstance(node, ast.Tuple):
+            return tuple(value(item) for item in node.elts)
+        if isinstance(node, ast.Name):
+            return types.boolean if node.id == "bool" else getattr(types, node.id)
+        assert isinstance(node, ast.Call)
+        named = {str(word.arg): value(word.value) for word in node.keywords}
+        return value(node.func)(*map(value, node.args), **named)
+
+    return value(ast.parse(kinds, mode="eval").body)
 
 
 def compile_kernels(*, progress: Callable[[str, float], None] | None = None) -> bool:
