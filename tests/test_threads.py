@@ -61,6 +61,21 @@ def test_numba_has_the_same_number(how):
     assert done.stdout.strip() == "1"
 
 
+@pytest.mark.parametrize("count", [1, 4])
+def test_a_plan_is_the_same_with_any_number_of_threads(monkeypatch, pitted_plan, count):
+    from test_plan import TINY, pitted
+
+    from scanmotion.cell.settings.cell import load_cell
+    from scanmotion.planning.pipeline import PlanOptions, plan
+
+    monkeypatch.setenv(OPENMP, str(count))
+    made = plan(pitted(), load_cell("kr240"), options=PlanOptions(seed=5, **TINY))
+    for name in ("t", "q"):
+        assert getattr(made.trajectory, name).tobytes() == getattr(pitted_plan.trajectory, name).tobytes()
+    for name in ("points", "normals", "counts"):
+        assert getattr(made.cloud, name).tobytes() == getattr(pitted_plan.cloud, name).tobytes()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("subject", [["--box", "330", "200", "600"], ["--mode", "paper"]])
 def test_threads_change_no_byte(tmp_path, subject):
