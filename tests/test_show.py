@@ -12,9 +12,11 @@ from browser import screenshot
 from fake_plan import fake_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 import scanmotion.report.scene as mut
 from scanmotion.cell.kinematics import flange_poses
+from scanmotion.cli.app import app
 from scanmotion.core.scanner import Scanner
 from scanmotion.geometry.parts.make_part import box_part, carving
 from scanmotion.report.figures import shapes, sight
@@ -191,6 +193,17 @@ def test_viewpoints_that_are_left_out_are_behind_a_switch(page):
     # What appears is red: green and blue are taken away from a light background.
     assert differs.sum() > 100 and ((hidden - shown)[differs][:, 1:].mean(axis=0) > 60).all()
     assert abs((hidden - shown)[differs][:, 0].mean()) < 60
+
+
+def test_a_cell_is_drawn_before_anything_is_planned(tmp_path):
+    file = tmp_path / "cell.html"
+    run = CliRunner().invoke(app, ["cell", "show", "kr240", "--box", "200", "150", "400", "--out", str(file)])
+    assert run.exit_code == 0 and "scanmotion plan --robot kr240" in run.output
+    image, asked = screenshot(file, fragment="#view=cell")
+    r, g, b = image.reshape(-1, 3).astype(int).T
+    assert asked == set() and ((r > 150) & (g > 40) & (g < 130) & (b < 60)).mean() > 0.01, "no robot in sight"
+    run = CliRunner().invoke(app, ["cell", "show", "none.yaml", "--out", str(file)])
+    assert run.exit_code == 2 and len(run.output.strip().splitlines()) == 1
 
 
 def listening_addresses():

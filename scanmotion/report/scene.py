@@ -14,7 +14,9 @@ from pydrake.systems.framework import DiagramBuilder
 from scanmotion.cell.build import Cell
 from scanmotion.cell.drake_scene import add_cell
 from scanmotion.cell.kinematics import object_poses, scanner_poses
+from scanmotion.core.part import Part
 from scanmotion.core.trajectory import Trajectory
+from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.plan import Plan
 from scanmotion.report.figures import palette
 from scanmotion.report.figures.shapes import (  # fmt: skip
@@ -46,6 +48,20 @@ def scene_html(plan: Plan) -> str:
     return with_overlay(page, plan)
 
 
+def cell_page(cell: Cell, part: Part) -> str:
+    """A self-contained page of a cell at rest, with a part on its table, before anything is planned.
+
+    Args:
+        cell: with the part in it.
+        part: what stands on the table.
+    """
+    nothing = Plan(
+        part=part, cell=cell, options=PlanOptions(), segments=(), trajectory=None, cloud=None, holes=None,
+        samples=None, visible=None,
+    )  # fmt: skip
+    return scene_html(nothing)
+
+
 def live_scene(plan: Plan) -> Meshcat:
     """The scene served on localhost only, with the motion recorded; `web_url()` says where."""
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
@@ -59,7 +75,10 @@ def live_scene(plan: Plan) -> Meshcat:
     _scanner(meshcat, plan)
     _frames(meshcat, plan)
     if plan.trajectory is None:
-        for path, X in bodies.poses(plan.cell.home[None]).items():
+        rest = plan.cell.home[None]
+        poses = bodies.poses(rest)
+        poses["scanner"], poses["part"] = scanner_poses(plan.cell, rest), object_poses(plan.cell, rest)
+        for path, X in poses.items():
             meshcat.SetTransform(path, _pose(X[0]))
     else:
         _path(meshcat, plan.cell, plan.trajectory)
