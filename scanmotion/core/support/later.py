@@ -95,7 +95,10 @@ def defer_classes(name: str, classes: tuple[str, ...]) -> None:
         return importlib.import_module(name)
 
     def made(wanted: str) -> Callable[..., Any]:
-        return lambda cls, *args, **extra: getattr(true_module(), wanted)(*args, **extra)
+        def new(cls: type, *args: Any, **extra: Any) -> Any:
+            return getattr(true_module(), wanted)(*args, **extra)
+
+        return new
 
     def attribute(wanted: str) -> Any:
         if wanted.startswith("__"):

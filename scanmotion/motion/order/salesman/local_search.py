@@ -12,7 +12,7 @@ EPS = 1e-10
 
 
 @njit(cache=True)
-def random_below(state: np.ndarray, n: int):
+def random_below(state: np.ndarray, n: int | np.int64):
     """Next whole number in [0, n) of the splitmix64 stream in `state`, shape (1,) uint64."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
     z = state[0]
