@@ -1,4 +1,4 @@
-"""The cell: arm, V-fixture, scanner, turntable, part and obstacles, in numpy and as a Drake plant."""
+"""The cell in numpy: arm, fixture, scanner, turntable, part and obstacles, put together from its settings."""
 
 import functools
 from dataclasses import replace

@@ -1,8 +1,8 @@
 """Distances and collision checks of configurations and edges, in two tiers.
 
-Fast tier: filter.py, conservative. Exact tier: Drake's checker for arm, tool, table and surroundings, and FCL
-on the part's true triangles, or on a light copy of a heavy mesh, whose deviation is taken
-off. What the fast tier calls free is free; what it refuses may be free after all.
+Fast tier: sphere_filter.py, conservative. Exact tier: Drake's checker for arm, tool, table and surroundings,
+and FCL on the part's true triangles, or on a light copy of a heavy mesh, whose deviation is taken off. What
+the fast tier calls free is free. What it refuses may be free in truth.
 """
 
 from functools import cached_property

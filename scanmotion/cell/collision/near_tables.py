@@ -191,11 +191,11 @@ def _ways(blocked: np.ndarray, first: float, second: float, *, one: bool) -> np.
     steps = 2 * np.pi / CELLS * np.array([first, second])
     if one:
         line = np.pad(blocked[:, 0], _WRAP, mode="wrap")
-        way = distance_transform_edt(~line, sampling=steps[1])[_WRAP:-_WRAP, None]  # type: ignore[index]
+        way = np.asarray(distance_transform_edt(~line, sampling=steps[1]))[_WRAP:-_WRAP, None]
         way = np.tile(np.minimum(way, _WRAP * steps[1]) - steps[1], (1, CELLS))
     else:
         square = np.pad(blocked, _WRAP, mode="wrap")
-        way = distance_transform_edt(~square, sampling=steps)[_WRAP:-_WRAP, _WRAP:-_WRAP]  # type: ignore[index]
+        way = np.asarray(distance_transform_edt(~square, sampling=steps))[_WRAP:-_WRAP, _WRAP:-_WRAP]
         way = np.minimum(way, _WRAP * steps.min()) - np.linalg.norm(steps)
     return np.where(blocked, -1.0, np.maximum(way, 0.0)).astype(np.float32)
 

@@ -134,7 +134,7 @@ def _counted(robot: Robot, low: list[Body], high: list[Body], clearance: float) 
     for n in range(count):
         met = False
         for k, (X, close, first, second) in enumerate(pairs):
-            if close[n] and near(first, second, X[n], clearance):
+            if close[n] and solids_near(first, second, X[n], clearance):
                 met = True
                 # What meets once meets again soon: it is asked first from now on.
                 pairs.insert(0, pairs.pop(k))
@@ -171,7 +171,9 @@ def poses_between(robot: Robot, low: Body, high: Body, q: np.ndarray) -> np.ndar
     return X @ high.X_LG
 
 
-def near(first: fcl.CollisionObject, second: fcl.CollisionObject, X: np.ndarray, clearance: float) -> bool:
+def solids_near(
+    first: fcl.CollisionObject, second: fcl.CollisionObject, X: np.ndarray, clearance: float
+) -> bool:
     """Whether the second object, put at X, is nearer to the first than a clearance."""
     second.setTransform(fcl.Transform(np.ascontiguousarray(X[:3, :3]), np.ascontiguousarray(X[:3, 3])))
     if fcl.collide(first, second, fcl.CollisionRequest(), fcl.CollisionResult()):

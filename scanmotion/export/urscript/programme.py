@@ -197,7 +197,7 @@ def _remarks(job: ExportJob) -> list[str]:
     return [*told, f"The output {s.start_out} is on then."] if s.start_out else told
 
 
-def points_of(stretch: Stretch, ticks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def ticked_points(stretch: Stretch, ticks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points of an arm's motion that lasts a whole number of ticks.
 
     Returns:
@@ -230,7 +230,7 @@ def _arm(stretch: Stretch, job: ExportJob, *, marks: bool = False) -> list[str]:
     if not _moves(stretch.q[:, :6]):
         return [f"{job.name}_hold({ticks * slow:.1f})"]
     lines = [f"global {job.name}_q = {_six(stretch.q[0])}", f"global {job.name}_v = {_six(np.zeros(6))}"]
-    for k, (n, q, v) in enumerate(zip(*points_of(stretch, ticks), strict=True), 1):
+    for k, (n, q, v) in enumerate(zip(*ticked_points(stretch, ticks), strict=True), 1):
         lines.append(f"{job.name}_to({_six(q)}, {_six(v / slow)}, {n * slow:.1f})")
         if marks:
             lines += [f"if not {job.name}_bad:", f"  global {job.name}_at = {k}", "end"]
@@ -264,7 +264,7 @@ def _ended(stretch: Stretch, job: ExportJob, table: bool) -> list[str]:
     end = [f"{name}_table_ready()"] if table else []
     lines = [f"if {name}_bad:", f"  {name}_broken()", *(f"  {x}" for x in end)]
     if _moves(stretch.q[:, :6]):
-        _, q, _ = points_of(stretch, _ticks(stretch))
+        _, q, _ = ticked_points(stretch, _ticks(stretch))
         way = [stretch.q[0], *q]
         for k in range(len(way) - 2, 0, -1):
             lines += [f"  if {name}_at >= {k}:", f"    {_back(way[k])}", "  end"]
