@@ -23,6 +23,10 @@ A little under the planner's, so that chance alone makes no disagreement.
 """
 
 
+GUIDED_M = 1e-3
+"""What links keep that two joints guide past one another: they must not touch [m]."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NotHeld:
     """Two things that Drake's last word does not hold apart."""
@@ -42,6 +46,22 @@ def not_held(cell: Cell, drake: DrakeCell) -> tuple[NotHeld, ...]:
         drake: its plant, in which no pair has been left out yet.
     """
     return (*_joined(drake), *_meeting(cell, drake), *_around(drake))
+
+
+def guided(cell: Cell, drake: DrakeCell) -> list[frozenset[str]]:
+    """Pairs of the robot's bodies, by their names, with one or two moving joints between them."""
+    plant = drake.plant
+    moved = [
+        set(plant.GetBodiesKinematicallyAffectedBy([plant.GetJointByName(name).index()]))
+        for name in cell.joint_names[:6]
+    ]
+    link = {i: sum(i in bodies for bodies in moved) for i in _solid_bodies(drake)}
+    return [
+        frozenset((plant.get_body(a).name(), plant.get_body(b).name()))
+        for n, a in enumerate(link)
+        for b in list(link)[n + 1 :]
+        if 1 <= abs(link[a] - link[b]) <= 2
+    ]
 
 
 def _joined(drake: DrakeCell) -> list[NotHeld]:
@@ -95,7 +115,7 @@ def _meeting(cell: Cell, drake: DrakeCell) -> list[NotHeld]:
         for pair in port.Eval(drake.context).ComputeSignedDistancePairwiseClosestPoints(most):
             both = [g for g in (pair.id_A, pair.id_B) if g in owner]
             stands = len(both) == 1 and owner[both[0]] in lowest and {pair.id_A, pair.id_B} & ground
-            asked = process.clearance_m if stands else process.self_clearance_m
+            asked = process.clearance_m if stands else min(process.self_clearance_m, GUIDED_M)
             if (len(both) == 2 or stands) and pair.distance < max(asked, 1e-4):
                 met.add(tuple(sorted((unit.get(pair.id_A, 0), unit.get(pair.id_B, 0)))))
         count.update(met)
