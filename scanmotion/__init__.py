@@ -37,7 +37,7 @@ _HOMES = {  # a colon behind a name: the module itself
     "Plan": "planning.plan",
     "load_plan": "plan_io.load",
     "verify": "judge",
-    "export_plan": "export",
+    "export_plan": "controller.export_plan",
     "compare": "planning.worth.comparison",
     "study": "studies.run",
     "show": "report.scene:",
@@ -53,12 +53,12 @@ if TYPE_CHECKING:
     from scanmotion.cell.build import build_cell as build_cell
     from scanmotion.cell.model import Cell as Cell
     from scanmotion.cell.settings.cell import load_cell as load_cell
+    from scanmotion.controller.export_plan import export_plan as export_plan
     from scanmotion.core.errors import ScanMotionError as ScanMotionError
     from scanmotion.core.part import Part as Part
     from scanmotion.core.scanner import Scanner as Scanner
     from scanmotion.core.viewpoint import Viewpoint as Viewpoint
     from scanmotion.core.viewpoint import look_at as look_at
-    from scanmotion.export import export_plan as export_plan
     from scanmotion.geometry.parts.make_part import box_part as box_part
     from scanmotion.geometry.parts.make_part import carving as carving
     from scanmotion.geometry.parts.make_part import part_from_file as part_from_file

@@ -66,7 +66,11 @@ class FclCell:
             for second, solid in robot[n + 1 :]:
                 pair = (min(body.link, second.link), max(body.link, second.link))
                 if pair[1] - pair[0] > 1 and (near or pair not in {(0, 2), (4, 6), (5, TOOL)}):
-                    inside = min(inside, _distance(shape, solid))
+                    apart = _distance(shape, solid)
+                    # Neighbours but one keep a millimetre, not the clearance.
+                    if pair in {(0, 2), (4, 6), (5, TOOL)} and apart > 0:
+                        apart += self.cell.settings.process.self_clearance_m - 1e-3
+                    inside = min(inside, apart)
         return outside, inside
 
 

@@ -8,6 +8,7 @@ from fcl_check import FclCell
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.collision.clearance import PAD_M, Clearance
+from scanmotion.cell.collision.pairs import GUIDED_M
 from scanmotion.cell.drake_scene import drake_of
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.settings.cell import load_cell, settings_from
@@ -100,7 +101,8 @@ def test_distance_is_that_of_fcl(cell, checker, rows, truth):
         elif excess < 0.5:
             assert distance - checker.asked(pair) == pytest.approx(excess, abs=1e-3)
             kinds.add(checker.asked(pair))
-    assert kinds == {checker.clearance, checker.self_clearance}
+    assert checker.clearance in kinds and kinds <= {checker.clearance, checker.self_clearance, GUIDED_M}
+    assert len(kinds) > 1
 
 
 def test_link_1_is_judged_against_obstacles():

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from scanmotion.cli import app
-from scanmotion.cli.plans.summarising import summary_rows
+from scanmotion.cli.plans.summarising import next_rows, summary_rows
 from scanmotion.core.summary import Summary
 
 COMMANDS = (
@@ -224,6 +224,21 @@ def test_final_table_says_everything():
     assert text["of which [s]"] == "arm 40.0, table 16.0, sweep 10.0, dwell 4.0"
     assert "1 unreachable" in text["viewpoints"]
     assert "not known" in text["accuracy"]
+
+
+def test_without_a_model_one_line_says_so():
+    nothing = {"after_global": None, "final": None, "final_of_whole": None}
+    text = dict(summary_rows(summary(completeness=nothing)))
+    assert text["completeness"].startswith("not known")
+    assert sum("not known" in value for value in text.values()) == 1
+
+
+@pytest.mark.parametrize(("model", "to"), [("kr240", "krl-timed"), ("irb6700", "rapid"), ("my.urdf", "ros")])
+def test_the_table_ends_with_what_comes_next(tmp_path, model, to):
+    (tmp_path / "cell.json").write_text(json.dumps({"robot": {"model": model}}))
+    commands = [command for _, command in next_rows(summary(), tmp_path)]
+    assert commands[-1] == f"scanmotion export {tmp_path} --to {to}"
+    assert len(next_rows(summary(findings=["too fast"]), tmp_path)) == 2, "a plan that fails is not exported"
 
 
 def test_a_plan_passes_only_without_findings_and_in_time():

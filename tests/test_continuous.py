@@ -13,7 +13,7 @@ from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.errors import InputError
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import look_at
-from scanmotion.export import export_plan
+from scanmotion.export import export_files
 from scanmotion.geometry.parts.make_part import box_part, surface_samples
 from scanmotion.geometry.parts.revolved import swept_part
 from scanmotion.judge import verify
@@ -150,7 +150,7 @@ def saved(moving, tmp_path_factory):
 
 
 def test_classic_krl_drives_the_motion_in_small_moves_slower_than_the_plan(saved, tmp_path):
-    report = verify_programme(main_of(export_plan(saved, "krl", out=tmp_path)), saved, clearance=False)
+    report = verify_programme(main_of(export_files(saved, "krl", out=tmp_path)), saved, clearance=False)
     assert report.findings == ()
     path = report.deviations[0]
     assert path.kind == "path" and not path.timed and max(path.away_deg, path.missed_deg) < 0.04
@@ -161,7 +161,7 @@ def test_classic_krl_drives_the_motion_in_small_moves_slower_than_the_plan(saved
 @pytest.fixture(scope="module")
 def timed(saved, tmp_path_factory):
     """The motion as a timed programme."""
-    return export_plan(saved, "krl-timed", out=tmp_path_factory.mktemp("krl"))
+    return export_files(saved, "krl-timed", out=tmp_path_factory.mktemp("krl"))
 
 
 def main_of(files):
@@ -253,7 +253,7 @@ def test_where_no_motion_can_be_driven_stops_are_planned_and_the_plan_says_so(mo
 
 
 def test_csv_carries_the_motion_as_it_is(saved, moving, tmp_path):
-    (file,) = export_plan(saved, "csv", out=tmp_path)
+    (file,) = export_files(saved, "csv", out=tmp_path)
     assert len(file.read_text().splitlines()) == len(moving.cycle.t) + 1
 
 

@@ -25,7 +25,7 @@ from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cli import app
 from scanmotion.core.errors import InputError, PlanFileError, ScanMotionError
 from scanmotion.core.viewpoint import Slack, Viewpoint, look_at
-from scanmotion.export import FORMATS, export_plan
+from scanmotion.export import FORMATS, export_files
 from scanmotion.export.knots import polyline_knots, spline_knots
 from scanmotion.export.krl.moves import number
 from scanmotion.export.pose import abc_from_rotation, arm_for_poses
@@ -82,12 +82,12 @@ HERE = [to for to in FORMATS if to not in ("rapid", "urscript")]
 @pytest.mark.parametrize("to", HERE)
 def test_every_format_is_written_twice_alike_and_leaves_the_plan_alone(to, own, tmp_path):
     before = digests(own)
-    first = export_plan(own, to, name="mine")
+    first = export_files(own, to, name="mine")
     assert all(p.is_file() and p.resolve().is_relative_to(own.resolve()) for p in first)
     now = digests(own)
     assert {k: now[k] for k in before} == before
     assert set(now) - set(before) == {p.name for p in first}
-    second = export_plan(own, to, out=tmp_path / "new" / "place", name="mine")
+    second = export_files(own, to, out=tmp_path / "new" / "place", name="mine")
     assert [p.name for p in second] == [p.name for p in first]
     assert [p.read_bytes() for p in second] == [p.read_bytes() for p in first]
 
@@ -140,7 +140,7 @@ def test_ids_that_are_not_plain_reach_no_file(to, evil, own, tmp_path):
 
     spoil(own, operations=put)
     with pytest.raises(InputError) as caught:
-        export_plan(own, to, out=tmp_path / "out")
+        export_files(own, to, out=tmp_path / "out")
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
 
@@ -148,7 +148,7 @@ def test_ids_that_are_not_plain_reach_no_file(to, evil, own, tmp_path):
 def test_ids_of_viewpoints_are_checked_too(own, tmp_path):
     spoil(own, viewpoints=lambda views: [views[0] | {"id": "G\nHALT"}, *views[1:]])
     with pytest.raises(InputError):
-        export_plan(own, "viewpoints", out=tmp_path / "out")
+        export_files(own, "viewpoints", out=tmp_path / "out")
 
 
 @pytest.mark.parametrize("to", ["krl", "krl-timed"])
@@ -156,9 +156,9 @@ def test_ids_of_viewpoints_are_checked_too(own, tmp_path):
 def test_names_of_part_and_robot_cannot_add_lines(to, key, own, tmp_path):
     spoil(own, **{key: lambda _: "box\r\nPTP {A1 0}\nEND"})
     with pytest.raises(InputError):
-        export_plan(own, to, out=tmp_path)
+        export_files(own, to, out=tmp_path)
     spoil(own, **{key: lambda _: ";FOLD b\u00fcste %{PE} {x} & \u2192"})
-    export_plan(own, to, out=tmp_path)
+    export_files(own, to, out=tmp_path)
     text = (tmp_path / "scan.src").read_bytes().decode("ascii")
     line = next(x for x in text.split("\r\n") if x.startswith("; part"))
     assert "_FOLD b_ste __PE_ _x_ _ _" in line
@@ -167,7 +167,7 @@ def test_names_of_part_and_robot_cannot_add_lines(to, key, own, tmp_path):
 def test_other_formats_carry_any_name_of_a_part_as_data(own, tmp_path):
     evil = 'box"]}\n- evil: &x\r\n'
     spoil(own, part=lambda _: evil, joint_names=lambda names: [evil, *names[1:]])
-    files = {to: export_plan(own, to, out=tmp_path) for to in ("json", "ros")}
+    files = {to: export_files(own, to, out=tmp_path) for to in ("json", "ros")}
     assert json.loads(files["json"][0].read_text())["part"] == evil
     assert yaml.load(files["ros"][0].read_text(), Loader=yaml.CSafeLoader)["joint_names"][0] == evil
 
@@ -184,7 +184,7 @@ def test_operations_out_of_order_are_refused(own):
     lines[20] = ",".join([*lines[20].rsplit(",", 2)[:1], *last])
     (own / "trajectory.csv").write_text("\n".join(lines) + "\n")
     with pytest.raises(PlanFileError, match="order"):
-        export_plan(own, "csv")
+        export_files(own, "csv")
 
 
 def test_a_broken_write_leaves_the_old_files(tmp_path, monkeypatch):
@@ -202,17 +202,17 @@ def test_a_broken_write_leaves_the_old_files(tmp_path, monkeypatch):
 def test_a_folder_in_the_way_is_one_line(tmp_path, folder):
     (tmp_path / "scan.csv").mkdir()
     with pytest.raises(InputError, match="is a folder"):
-        export_plan(folder, "csv", out=tmp_path)
+        export_files(folder, "csv", out=tmp_path)
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        export_plan(folder, "csv", out=tmp_path / "file" / "below")
+        export_files(folder, "csv", out=tmp_path / "file" / "below")
 
 
 # --- CSV and JSON ---------------------------------------------------------------------------------
 
 
 def test_csv_reads_back_equal(folder, plan, tmp_path):
-    (file,) = export_plan(folder, "csv", out=tmp_path)
+    (file,) = export_files(folder, "csv", out=tmp_path)
     with file.open(newline="") as text:
         rows = list(csv.DictReader(text))
     t = plan.trajectory
@@ -230,7 +230,7 @@ def test_csv_reads_back_equal(folder, plan, tmp_path):
 
 
 def test_json_reads_back_equal(folder, plan, tmp_path):
-    (file,) = export_plan(folder, "json", out=tmp_path)
+    (file,) = export_files(folder, "json", out=tmp_path)
     data, t = json.loads(file.read_text()), plan.trajectory
     for key, value, atol in (
         ("time", t.t, 5.1e-7), ("position", t.q, 5.1e-11), ("velocity", t.qd, 5.1e-9),
@@ -259,7 +259,7 @@ def assert_same(found, views, atol):
 
 
 def test_exported_viewpoints_read_back_equal(folder, cell, tmp_path):
-    files = export_plan(folder, "viewpoints", out=tmp_path)
+    files = export_files(folder, "viewpoints", out=tmp_path)
     assert [p.suffix for p in files] == [".csv", ".json"]
     views = made_by_hand(cell).viewpoints
     for file in files:
@@ -521,7 +521,7 @@ def test_mutated_plans_are_exported_or_refused_in_one_line(own, tmp_path, rng):
         name = list(whole)[n % 3]
         (own / name).write_text(mutated(whole[name], rng))
         try:
-            export_plan(own, FORMATS[n % 7], out=tmp_path / "out")
+            export_files(own, FORMATS[n % 7], out=tmp_path / "out")
         except ScanMotionError as error:
             assert "\n" not in str(error)
             refused += 1

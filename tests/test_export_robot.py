@@ -12,7 +12,7 @@ from exported_plan import made_by_hand
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.errors import InputError
-from scanmotion.export import export_plan
+from scanmotion.export import export_files
 from scanmotion.export.source import source_from, write_files
 from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.plan_io.write import plan_files
@@ -42,7 +42,7 @@ def plan(folder):
 def test_yaml_is_the_message_by_pyyaml(folder, plan, tmp_path):
     from rosbags.typesys import Stores, get_typestore
 
-    (file,) = export_plan(folder, "ros", out=tmp_path)
+    (file,) = export_files(folder, "ros", out=tmp_path)
     data, t = yaml.load(file.read_text(), Loader=yaml.CSafeLoader), plan.trajectory
     kinds = get_typestore(Stores.ROS2_HUMBLE).types
     fields = kinds["trajectory_msgs/msg/JointTrajectory"].__dataclass_fields__
@@ -64,7 +64,7 @@ def test_yaml_is_the_message_by_pyyaml(folder, plan, tmp_path):
 @pytest.fixture(scope="module")
 def bag(folder, tmp_path_factory):
     out = tmp_path_factory.mktemp("bag")
-    files = export_plan(folder, "mcap", out=out, name="demo")
+    files = export_files(folder, "mcap", out=out, name="demo")
     assert [p.name for p in files] == ["demo_bag.mcap", "metadata.yaml"]
     return out / "demo_bag"
 
@@ -114,10 +114,10 @@ def test_without_the_library_one_line_says_what_to_install(folder, tmp_path, mon
     for name in ("rosbags", "rosbags.rosbag2", "rosbags.typesys"):
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(InputError, match=r"pip install 'scanmotion\[ros\]'") as caught:
-        export_plan(folder, "mcap", out=tmp_path / "out")
+        export_files(folder, "mcap", out=tmp_path / "out")
     assert "\n" not in str(caught.value) and not (tmp_path / "out").exists()
     # YAML needs no library.
-    assert export_plan(folder, "ros", out=tmp_path / "out")
+    assert export_files(folder, "ros", out=tmp_path / "out")
 
 
 @pytest.mark.parametrize("to", ["krl", "krl-timed"])
@@ -127,5 +127,5 @@ def test_an_arm_with_other_signs_gets_no_kuka_programme(to, folder, tmp_path):
     assert text.count('<axis xyz="0 0 -1"/>') == 1
     (own / "robot.urdf").write_text(text.replace('<axis xyz="0 0 -1"/>', '<axis xyz="0 0 1"/>'))
     with pytest.raises(InputError, match="KUKA"):
-        export_plan(own, to, out=tmp_path / "out")
+        export_files(own, to, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()

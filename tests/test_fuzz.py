@@ -15,7 +15,7 @@ from judged_plan import hand_made_files
 from scanmotion.cell.settings.cell import cell_template, load_cell
 from scanmotion.core.errors import CellError, InputError, PartError
 from scanmotion.core.part import Part
-from scanmotion.export import export_plan
+from scanmotion.export import export_files
 from scanmotion.geometry.parts.make_part import part_from_file
 from scanmotion.plan_io.load import load_plan
 
@@ -264,7 +264,7 @@ def fuzz_plans(whole: dict[str, bytes], folder: Path, number: int, seed: int) ->
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 load_plan(plan)
-                export_plan(plan, formats[i % 3], out=folder / "out")
+                export_files(plan, formats[i % 3], out=folder / "out")
         except InputError as error:
             one_line(error)
         else:

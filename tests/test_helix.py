@@ -17,7 +17,7 @@ from scanmotion.cell.build import build_cell
 from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.errors import InputError, TimingError
-from scanmotion.export import export_plan
+from scanmotion.export import export_files
 from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.judge import verify
 from scanmotion.judge.programme.check import verify_programme
@@ -337,13 +337,13 @@ def folder(files, tmp_path_factory):
 
 
 def test_tables_call_it_a_helix_and_the_scanner_is_on(folder, tmp_path):
-    (path,) = export_plan(folder, "csv", out=tmp_path)
+    (path,) = export_files(folder, "csv", out=tmp_path)
     rows = [line.split(",") for line in path.read_text().splitlines()]
     at = {name: k for k, name in enumerate(rows[0])}
     own = [r for r in rows[1:] if r[at["kind"]] == "helix"]
     assert own and {r[at["scanning"]] for r in own} == {"1"}
     assert {r[at["viewpoints"]] for r in own} == {"G0 G1 G2"}
-    (path,) = export_plan(folder, "json", out=tmp_path)
+    (path,) = export_files(folder, "json", out=tmp_path)
     assert [(o["kind"], o["scanning"]) for o in json.loads(path.read_text())["operations"]] == [
         ("transit", False), ("helix", True),
     ]  # fmt: skip
@@ -351,7 +351,7 @@ def test_tables_call_it_a_helix_and_the_scanner_is_on(folder, tmp_path):
 
 @pytest.mark.parametrize("to", ["krl", "krl-timed"])
 def test_krl_programmes_drive_the_helix_and_back_after_a_fault(to, folder, tmp_path):
-    file = export_plan(folder, to, out=tmp_path, name="scan_a")[0]
+    file = export_files(folder, to, out=tmp_path, name="scan_a")[0]
     assert verify_programme(file, folder, clearance=False).findings == ()
     controller = controller_from(file, folder)
     signals = controller.signals

@@ -8,7 +8,7 @@ from mutants import missed
 
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.settings.cell import load_cell
-from scanmotion.export import export_plan
+from scanmotion.export import export_files
 from scanmotion.export.source import write_files
 from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.plan_io.write import plan_files
@@ -33,7 +33,7 @@ def good(request, tmp_path_factory):
     size = (0.1, 0.08, 0.2) if cell == "ur10e" else (0.2, 0.15, 0.4)
     folder = tmp_path_factory.mktemp("plan")
     write_files(folder, plan_files(made_by_hand(build_cell(load_cell(cell), box_part(*size)))))
-    file = export_plan(folder, request.param, out=tmp_path_factory.mktemp("good"))[0]
+    file = export_files(folder, request.param, out=tmp_path_factory.mktemp("good"))[0]
     return Good(folder, file, language)
 
 

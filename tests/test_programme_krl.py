@@ -15,7 +15,7 @@ from scanmotion.cell.kinematics import scanner_poses
 from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cli import app
 from scanmotion.core.errors import InputError, PlanFileError
-from scanmotion.export import export_plan
+from scanmotion.export import export_files
 from scanmotion.export.krl import programme as writer
 from scanmotion.export.krl.moves import cut_of, rounding
 from scanmotion.export.source import write_files
@@ -44,7 +44,7 @@ def folder(cell, tmp_path_factory):
 @pytest.fixture(scope="module")
 def files(folder, tmp_path_factory):
     """The main file of each manner."""
-    return {to: export_plan(folder, to, out=tmp_path_factory.mktemp(to))[0] for to in MANNERS}
+    return {to: export_files(folder, to, out=tmp_path_factory.mktemp(to))[0] for to in MANNERS}
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +146,7 @@ def test_the_sweep_is_a_line_at_the_planned_speed(good, cell):
 @pytest.mark.parametrize("to", MANNERS)
 def test_pages_do_the_same_as_one_file(to, folder, good, tmp_path, monkeypatch):
     monkeypatch.setattr(writer, "LINES_A_FILE", 60)
-    files = export_plan(folder, to, out=tmp_path, name="a" * 19)
+    files = export_files(folder, to, out=tmp_path, name="a" * 19)
     sources = [p for p in files if p.suffix == ".src"]
     assert len(sources) > 2 and all(p.stem[:19] == "a" * 19 for p in sources)
     main = next(p for p in sources if p.stem == "a" * 19)
@@ -166,7 +166,7 @@ def test_lines_are_ascii_for_windows_and_names_short(to, files):
 
 
 def test_a_dry_run_keeps_the_scanner_off_and_halts_at_each_view(folder, tmp_path, good):
-    file = export_plan(folder, "krl-timed", out=tmp_path, dry_run=True)[0]
+    file = export_files(folder, "krl-timed", out=tmp_path, dry_run=True)[0]
     controller = controller_from(file, folder)
     run, _ = controller.run(ScriptedScanner(signals=controller.signals, patience=3))
     assert run.ended and not run.recording.any() and not run.said("pulse")
@@ -178,7 +178,7 @@ def test_a_dry_run_keeps_the_scanner_off_and_halts_at_each_view(folder, tmp_path
 
 @pytest.mark.parametrize("to", MANNERS)
 def test_another_output_may_start_the_scanner(to, folder, tmp_path):
-    file = export_plan(folder, to, out=tmp_path, signal=17)[0]
+    file = export_files(folder, to, out=tmp_path, signal=17)[0]
     assert verify_programme(file, folder, clearance=False).findings == ()
     controller = controller_from(file, folder)
     run, _ = controller.run(ScriptedScanner(signals=controller.signals))
@@ -190,7 +190,7 @@ def test_another_output_may_start_the_scanner(to, folder, tmp_path):
 )
 def test_what_is_no_output_is_refused(to, signal, folder, tmp_path):
     with pytest.raises(InputError, match="--signal"):
-        export_plan(folder, to, out=tmp_path / "out", signal=signal)
+        export_files(folder, to, out=tmp_path / "out", signal=signal)
     assert not (tmp_path / "out").exists()
 
 

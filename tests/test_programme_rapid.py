@@ -9,7 +9,7 @@ from exported_plan import made_by_hand
 from scanmotion.cell.build import build_cell
 from scanmotion.cell.settings.cell import load_cell
 from scanmotion.core.errors import InputError
-from scanmotion.export import export_plan
+from scanmotion.export import export_files
 from scanmotion.export.knots import timed_knots
 from scanmotion.export.source import write_files
 from scanmotion.geometry.parts.make_part import box_part
@@ -29,7 +29,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def module(folder, tmp_path_factory):
-    (file,) = export_plan(folder, "rapid", out=tmp_path_factory.mktemp("rapid"))
+    (file,) = export_files(folder, "rapid", out=tmp_path_factory.mktemp("rapid"))
     return file
 
 
@@ -59,7 +59,7 @@ def test_a_fault_leads_back_and_is_repeated(module, folder):
 
 
 def test_a_dry_run_keeps_the_scanner_off(folder, tmp_path):
-    (file,) = export_plan(folder, "rapid", out=tmp_path, dry_run=True)
+    (file,) = export_files(folder, "rapid", out=tmp_path, dry_run=True)
     controller = controller_from(file, folder)
     run, _ = controller.run(ScriptedScanner(signals=controller.signals, patience=3))
     assert run.ended and not run.recording.any() and len(run.said("halt")) == 3 and run.t[-1] > 400
@@ -67,12 +67,12 @@ def test_a_dry_run_keeps_the_scanner_off(folder, tmp_path):
 
 def test_another_arm_or_name_is_refused(folder, tmp_path):
     with pytest.raises(InputError, match="RAPID"):
-        export_plan(folder, "rapid", out=tmp_path, name="While")
+        export_files(folder, "rapid", out=tmp_path, name="While")
     kuka = tmp_path / "kuka"
     cell = build_cell(load_cell("kr240"), box_part(0.2, 0.15, 0.4))
     write_files(kuka, plan_files(made_by_hand(cell)))
     with pytest.raises(InputError, match="ABB"):
-        export_plan(kuka, "rapid", out=tmp_path / "out")
+        export_files(kuka, "rapid", out=tmp_path / "out")
 
 
 def test_knots_in_time_follow_the_motion(rng):
@@ -93,7 +93,7 @@ def test_a_continuous_motion_is_driven_and_goes_back_through_the_points_it_has_p
     )
     made.trajectory = made.cycle = replace(made.trajectory, operations=operations)
     write_files(tmp_path, plan_files(made))
-    (file,) = export_plan(tmp_path, "rapid")
+    (file,) = export_files(tmp_path, "rapid")
     assert verify_programme(file, clearance=False).findings == ()
     controller = controller_from(file)
     scanner = ScriptedScanner(signals=controller.signals, faults=frozenset([2]), patience=1, fault_after=1.5)

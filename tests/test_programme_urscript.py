@@ -13,11 +13,11 @@ from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cli import app
 from scanmotion.controller.simulate import Circumstances, run_programme
 from scanmotion.core.errors import InputError, PlanFileError
-from scanmotion.export import export_plan
+from scanmotion.export import export_files
 from scanmotion.export.source import write_files
 from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.judge import verify
-from scanmotion.judge.programme.arm_and_table import TableDrive
+from scanmotion.judge.programme.arm_and_table import DrivenTable
 from scanmotion.judge.programme.check import verify_programme
 from scanmotion.judge.programme.controller import controller_from
 from scanmotion.judge.programme.world import ScriptedScanner
@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def script(folder, tmp_path_factory):
-    files = export_plan(folder, "urscript", out=tmp_path_factory.mktemp("ur"))
+    files = export_files(folder, "urscript", out=tmp_path_factory.mktemp("ur"))
     assert [f.name for f in files] == ["scan.script", "scan_table.st"]
     return files[0]
 
@@ -84,12 +84,12 @@ def test_the_arm_waits_for_a_table_that_is_not_there(script, folder):
 
 def test_a_start_that_the_drive_cannot_follow_is_a_fault(script, folder):
     programme = controller_from(script, folder).programme.table
-    drive = TableDrive(programme, 3.0)
+    drive = DrivenTable(programme, 3.0)
     drive.look(True, 1)
     assert drive.fault and not drive.ready(1)
     drive.look(False, 1)
     assert not drive.fault
-    drive = TableDrive(programme, 0.0)
+    drive = DrivenTable(programme, 0.0)
     assert drive.ready(1)
     drive.look(True, 1)
     places = [drive.advance(t, True, 1) for t in np.arange(0.01, 18.2, 0.01)]
@@ -102,7 +102,7 @@ def test_a_start_that_the_drive_cannot_follow_is_a_fault(script, folder):
 
 
 def test_a_dry_run_keeps_the_scanner_off(folder, tmp_path):
-    script = export_plan(folder, "urscript", out=tmp_path, dry_run=True)[0]
+    script = export_files(folder, "urscript", out=tmp_path, dry_run=True)[0]
     controller = controller_from(script, folder)
     run, _ = controller.run(ScriptedScanner(signals=controller.signals, patience=3))
     assert run.ended and not run.recording.any() and len(run.said("halt")) == 3 and run.t[-1] > 490
@@ -110,15 +110,15 @@ def test_a_dry_run_keeps_the_scanner_off(folder, tmp_path):
 
 def test_another_arm_name_signal_or_motion_is_refused(folder, tmp_path):
     with pytest.raises(InputError, match="URScript"):
-        export_plan(folder, "urscript", out=tmp_path, name="While")
+        export_files(folder, "urscript", out=tmp_path, name="While")
     with pytest.raises(InputError, match="signal 64"):
-        export_plan(folder, "urscript", out=tmp_path, signal=64)
+        export_files(folder, "urscript", out=tmp_path, signal=64)
     cell = turning_cell()
     write_files(tmp_path / "kuka", plan_files(helix_plan(cell)))
     with pytest.raises(InputError, match="UR arm"):
-        export_plan(tmp_path / "kuka", "urscript", out=tmp_path / "out")
+        export_files(tmp_path / "kuka", "urscript", out=tmp_path / "out")
     with pytest.raises(InputError, match="ABB"):
-        export_plan(folder, "rapid", out=tmp_path / "out")
+        export_files(folder, "rapid", out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 

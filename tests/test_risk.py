@@ -154,3 +154,18 @@ def test_export_writes_the_sheet_beside_a_programme_and_nothing_else(folder, ris
     for more in (["csv"], ["krl", "--no-risk"]):
         assert CliRunner().invoke(app, [*args, *more]).exit_code == 0
     assert not [p for p in (tmp_path / "bare").iterdir() if "risk" in p.name]
+
+
+def test_from_python_a_programme_has_its_sheet_too(folder, risk, tmp_path):
+    import scanmotion as sm
+
+    files = sm.export_plan(folder, "krl-timed", out=tmp_path / "a")
+    assert {f.name for f in files} >= {
+        "scan.src",
+        "scan.dat",
+        "scan_risk.html",
+        "scan_risk.json",
+        "scan_risk.ply",
+    }
+    assert not any("risk" in f.name for f in sm.export_plan(folder, "csv", out=tmp_path / "b"))
+    assert not any("risk" in f.name for f in sm.export_plan(folder, "krl", out=tmp_path / "c", risk=False))

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
@@ -12,6 +13,7 @@ from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.drake_scene import drake_of
 from scanmotion.cell.kinematics import flange_poses
 from scanmotion.cell.settings.cell import load_cell, settings_from
+from scanmotion.cell.suggest import suggestion
 from scanmotion.core.errors import CellError
 from scanmotion.geometry.convex import convex_pieces, hull_from
 from scanmotion.geometry.parts.make_part import box_part, models_dir
@@ -90,6 +92,36 @@ def test_joints_that_are_not_six_turning_ones_are_refused_by_name(old, new, line
     assert old in PLAIN
     with pytest.raises(CellError, match=line):
         cell_of(PLAIN.replace(old, new, 1), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("a.sdf", "a.sdf: SDF is not read as a robot, a URDF is; convert it first"),
+        ("a.xml", "a.xml: MJCF is not read as a robot"),
+        ("a.dmd.yaml", "a.dmd.yaml: a file of Drake's directives is not read as a robot"),
+        ("a.urdf.xacro", r"is xacro; expand it first \(xacro a.urdf.xacro > my.urdf\)"),
+    ],
+)
+def test_other_descriptions_are_one_line_each(name, line, tmp_path):
+    (tmp_path / name).write_text("<sdf/>")
+    with pytest.raises(CellError, match=line):
+        build_cell(settings_from({"robot": {"model": name}}, folder=str(tmp_path)))
+    with pytest.raises(CellError, match=line):
+        suggestion(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("turntable: {position_m: [2,2, 0,0]}", "2 values are expected, not 4; a decimal comma makes two"),
+        ("turntable: {height_m: 0,7}", "a decimal comma ends a value: write a point"),
+        ("turntable:\n  height_m: 0,7", "write a decimal point, not a comma"),
+    ],
+)
+def test_decimal_commas_are_one_line(text, line):
+    with pytest.raises(CellError, match=line):
+        settings_from(yaml.safe_load(text))
 
 
 def test_a_rail_is_refused_by_name(tmp_path):

@@ -15,7 +15,7 @@ from scanmotion.cli import app
 from scanmotion.controller.log import executed_from, read_executed, read_log
 from scanmotion.controller.simulate import Circumstances, run_programme
 from scanmotion.core.errors import InputError, PlanFileError
-from scanmotion.export import export_plan
+from scanmotion.export import export_files
 from scanmotion.export.source import write_files
 from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.judge import verify
@@ -35,7 +35,7 @@ def cell():
 def made(cell, tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
     write_files(folder, plan_files(made_by_hand(cell)))
-    export_plan(folder, "krl-timed")
+    export_files(folder, "krl-timed")
     return folder
 
 

@@ -12,12 +12,15 @@ from browser import screenshot
 from fake_plan import fake_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 import scanmotion.report.scene as mut
 from scanmotion.cell.kinematics import flange_poses
+from scanmotion.cli.app import app
 from scanmotion.core.scanner import Scanner
 from scanmotion.geometry.parts.make_part import box_part, carving
 from scanmotion.report.figures import shapes, sight
+from scanmotion.report.scene_overlay import with_overlay
 from scanmotion.sensing.visibility import scene_from, sees
 
 
@@ -146,14 +149,14 @@ def test_names_cannot_break_out_of_the_page(plan):
     first, *rest = plan.trajectory.operations
     told = replace(plan.trajectory, operations=(replace(first, viewpoints=(name,)), *rest))
     bad = replace(plan, trajectory=told, part=replace(plan.part, name=name))
-    overlay = mut._with_overlay("<body></body>", bad)
+    overlay = with_overlay("<body></body>", bad)
     assert "<script>alert" not in overlay
     assert overlay.count("<script>") == overlay.count("</script>") == 1
 
 
 @pytest.fixture(scope="module")
 def shot(page):
-    return screenshot(page, fragment="#t=7")
+    return screenshot(page, fragment="#t=7&view=cell")
 
 
 def test_the_page_in_a_browser(shot):
@@ -175,9 +178,32 @@ def test_the_table_turns_and_the_part_is_coloured_as_it_is_seen(page, shot):
     early, _ = screenshot(page, fragment="#t=3.2")
     late, _ = screenshot(page, fragment="#t=13.4")
     assert seen_blue(early) < 0.2 * seen_blue(late) and seen_blue(late) > 500
+    cell, _ = screenshot(page, fragment="#t=13.4&view=cell")
+    assert seen_blue(late) > 3 * seen_blue(cell), "the object is large"
     # Only the right part of the picture: the legend on the left shows the time.
-    differs = np.abs(early[:, 400:].astype(int) - shot[0][:, 400:]).max(axis=2) > 40
+    differs = np.abs(cell[:, 400:].astype(int) - shot[0][:, 400:]).max(axis=2) > 40
     assert differs.sum() > 200
+
+
+def test_viewpoints_that_are_left_out_are_behind_a_switch(page):
+    assert "1 viewpoint left out" in page.read_text() and "viewpoint out of reach" in page.read_text()
+    hidden, shown = (screenshot(page, fragment=f"#t=7&view=cell{more}")[0] for more in ("", "&left-out"))
+    hidden, shown = hidden[:, 400:].astype(int), shown[:, 400:].astype(int)
+    differs = np.abs(shown - hidden).max(axis=2) > 40
+    # What appears is red: green and blue are taken away from a light background.
+    assert differs.sum() > 100 and ((hidden - shown)[differs][:, 1:].mean(axis=0) > 60).all()
+    assert abs((hidden - shown)[differs][:, 0].mean()) < 60
+
+
+def test_a_cell_is_drawn_before_anything_is_planned(tmp_path):
+    file = tmp_path / "cell.html"
+    run = CliRunner().invoke(app, ["cell", "show", "kr240", "--box", "200", "150", "400", "--out", str(file)])
+    assert run.exit_code == 0 and "scanmotion plan --robot kr240" in run.output
+    image, asked = screenshot(file, fragment="#view=cell")
+    r, g, b = image.reshape(-1, 3).astype(int).T
+    assert asked == set() and ((r > 150) & (g > 40) & (g < 130) & (b < 60)).mean() > 0.01, "no robot in sight"
+    run = CliRunner().invoke(app, ["cell", "show", "none.yaml", "--out", str(file)])
+    assert run.exit_code == 2 and len(run.output.strip().splitlines()) == 1
 
 
 def listening_addresses():

@@ -1,4 +1,4 @@
-"""The cell: arm, V-fixture, scanner, turntable, part and obstacles, in numpy and as a Drake plant."""
+"""The cell in numpy: arm, fixture, scanner, turntable, part and obstacles, put together from its settings."""
 
 import functools
 from dataclasses import replace
@@ -9,6 +9,7 @@ import numpy as np
 
 from scanmotion.cell.arm.robot import Robot
 from scanmotion.cell.arm.robot_file import robot_from_file
+from scanmotion.cell.arm.urdf import check_kind
 from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.kinematics import branches
 from scanmotion.cell.model import TABLE as TABLE
@@ -43,6 +44,7 @@ def robot_path(settings: CellSettings) -> Path:
     if settings.robot.model.replace("-", "").isalnum() and builtin.is_file():
         return builtin
     path = Path(settings.folder) / settings.robot.model
+    check_kind(path)
     if path.suffix != ".urdf" or not path.is_file():
         known = sorted(p.stem for p in (models_dir() / "robots").glob("*.urdf"))
         raise CellError(

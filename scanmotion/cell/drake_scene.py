@@ -2,6 +2,7 @@
 
 import logging
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -24,7 +25,7 @@ from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 from scanmotion.cell.arm.robot import Body, Robot
 from scanmotion.cell.arm.robot_file import write_arm
 from scanmotion.cell.arm.urdf import obj_text
-from scanmotion.cell.collision.pairs import exempt_pairs, on_floor
+from scanmotion.cell.collision.pairs import GUIDED_M, exempt_pairs, guided_names, on_floor
 from scanmotion.cell.collision.shapes import hull_of
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 
@@ -236,11 +237,11 @@ class DrakeCell:
         self.context = self.checker.plant_context()
         of = [self.plant.GetBodyIndices(instances[name]) for name in ("arm", "tool")]
         self.robot_bodies = [*of[0], *of[1]]
-        self._asked = (process.self_clearance_m, process.clearance_m)
         self._order = self._joint_order(cell)
         self.groups = self._groups(cell)
         if not own_pairs:
             self.leave_out(exempt_ids(self.plant, cell))
+            self.keep_apart(guided_names(cell), min(process.self_clearance_m, GUIDED_M))
 
     def _joint_order(self, cell: Cell) -> np.ndarray:
         """Index of each of A1..A6, E1 in the plant's position vector."""
@@ -253,6 +254,14 @@ class DrakeCell:
             "stand": TABLE,
             "surroundings": WORLD,
         }
+
+    def keep_apart(self, names: Iterable[frozenset[str]], distance: float) -> None:
+        """Asks of pairs of the robot's bodies, by their names, this distance [m]."""
+        of = {self.plant.get_body(i).name(): i for i in self.robot_bodies}
+        for pair in names:
+            indices = [of[name] for name in sorted(pair) if name in of]
+            if len(indices) == 2:
+                self.checker.SetPaddingBetween(indices[0], indices[1], distance)
 
     def leave_out(self, pairs: Pairs) -> None:
         """Does not hold these solids against one another any more."""
@@ -292,11 +301,11 @@ class DrakeCell:
         if found.size() == 0:
             return 1.0, 1.0, ("", "")
         i = int(np.argmin(found.distances()))
-        of = (self.plant.get_body(k[i]).name() for k in (found.robot_indices(), found.other_indices()))
-        a, b = of
+        first, other = found.robot_indices()[i], found.other_indices()[i]
         # Drake counts distances from the padding on.
         excess = float(found.distances()[i])
-        return excess, excess + self._asked[self.groups.get(b, 9) > 7], (a, b)
+        names = self.plant.get_body(first).name(), self.plant.get_body(other).name()
+        return excess, excess + float(self.checker.GetPaddingBetween(first, other)), names
 
 
 _PLANTS: WeakKeyDictionary[Cell, DrakeCell] = WeakKeyDictionary()

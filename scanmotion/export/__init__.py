@@ -29,7 +29,7 @@ PROGRAMMES = ("krl", "krl-timed", "rapid", "urscript")
 """Formats that a robot's controller runs."""
 
 
-def export_plan(
+def export_files(
     folder: str | Path,
     to: str,
     *,

@@ -73,7 +73,7 @@ def simulated_frames(
         truth: the mesh on the table.
         number: of the plan; None for the last.
         kind: of the frames.
-        stride: every so-manieth pixel.
+        stride: every n-th pixel.
         progress: told the share done.
 
     Raises:

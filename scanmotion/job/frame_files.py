@@ -1,8 +1,7 @@
 """Frames as a scanner writes them: clouds (PLY, PCD, XYZ) and depth images (NPZ, PNG) with intrinsics.
 
 Guarantees: every point comes back in metres in the scanner's frame S (z along the optical axis). Assumes:
-    clouds are in
-S and in the unit that is said; a depth image holds z, not the length of the ray.
+clouds are in S and in the unit that is said; a depth image holds z, not the length of the ray.
 """
 
 import io

@@ -1,9 +1,7 @@
-"""All frames of a job in one model: corrected, registered segment by segment, fused; and what is still
-missing.
+"""All frames of a job in one model: corrected, registered segment by segment, fused; and what is missing.
 
 Guarantees: a segment whose registration cannot be trusted stays where its poses put it, and is named.
-    Assumes: the first
-batch is the global scan, onto which the others are brought.
+Assumes: the first batch is the global scan, onto which the others are brought.
 """
 
 from collections.abc import Callable

@@ -1,8 +1,7 @@
 """Which pose each frame was taken at: from the frames list, the controller's log, or the plan's programme.
 
 Guarantees: a frame without a pose is refused, never guessed. Assumes: time stamps of frames and log are of
-    one clock, up
-to the offset that is given; between two lines of a log the joints move evenly.
+one clock, up to the offset that is given; between two lines of a log the joints move evenly.
 """
 
 import csv

@@ -1,6 +1,4 @@
-"""report.html and report.json of a job: what was seen, what is missing, how the segments fit, how exact it
-is.
-"""
+"""report.html and report.json of a job: what was seen, what is missing, how segments fit, how exact it is."""
 
 import json
 from html import escape

@@ -50,7 +50,7 @@ def write_simulated(
         truth: the mesh that stands on the table.
         folder: where the files go; it is made.
         kind: of the frames, one of FORMATS.
-        stride: every so-manieth pixel in x and y.
+        stride: every n-th pixel in x and y.
         progress: told the share done.
 
     Returns:

@@ -1,9 +1,8 @@
 """A job on disk: the record, the plans and the frames of one scan, whole at any moment.
 
 Guarantees: `job.json` is replaced as a whole and last of all; frames and plans that it does not name do not
-    belong to
-the job. A run that is killed leaves the job as it was before, or as it is after. Assumes: one process changes
-a job at a time.
+belong to the job. A run that is killed leaves the job as it was before, or as it is after. Assumes: one
+process changes a job at a time.
 """
 
 import hashlib

@@ -47,6 +47,8 @@ class Solid:
     """Link of the URDF that has it; empty for what the plan lists."""
     side: bool = False
     """Whether its carrier hangs on a link of the chain by a side branch."""
+    mesh: bool = False
+    """Whether it is a mesh of the URDF."""
 
     @property
     def radius(self) -> float:
@@ -79,7 +81,7 @@ def solids_of(folder: Path, record: PlanRecord, arm: UrdfArm) -> list[Solid]:
         out.append(
             Solid(
                 name=solid.name, group=solid.group, shape=shape, half=half, X_CG=X_CG,
-                carrier=solid.carrier, side=solid.side,
+                carrier=solid.carrier, side=solid.side, mesh=solid.kind == "mesh",
             )
         )  # fmt: skip
     for body in record.bodies:
@@ -200,18 +202,35 @@ def meeting_solids(solids: list[Solid], record: PlanRecord, arm: UrdfArm) -> Mee
     out = {}
     for (first, last), pairs in spans.items():
         motion = motion_at(arm, record, *_positions(arm, first, last))
-        most = (1 - _NEARLY_ALWAYS) * len(motion.t)
+        units: dict[tuple[str, str], list[tuple[Solid, Solid]]] = {}
         for a, b in pairs:
-            Xa, Xb = (np.broadcast_to(s.poses(motion), (len(motion.t), 4, 4)) for s in (a, b))
-            near = np.linalg.norm(Xa[:, :3, 3] - Xb[:, :3, 3], axis=1) < a.radius + b.radius
-            misses = int((~near).sum())
-            for n in np.flatnonzero(near):
-                if misses > most:
-                    break
-                misses += not _collide(a, b, Xa[n], Xb[n])
-            if misses <= most:
-                out[pair_key(a, b)] = 1 - misses / len(motion.t)
+            units.setdefault((_unit(a), _unit(b)), []).append((a, b))
+        for both in units.values():
+            share = _share_meeting(both, motion)
+            if share >= _NEARLY_ALWAYS:
+                out |= {pair_key(a, b): share for a, b in both}
     return out
+
+
+def _unit(solid: Solid) -> str:
+    """The meshes of a link count as one solid, others each for itself."""
+    return solid.carrier if solid.mesh else f"{solid.carrier}/{solid.name}"
+
+
+def _share_meeting(pairs: list[tuple[Solid, Solid]], motion: Motion) -> float:
+    """Share of positions in which one of some pairs touches; 0 when that is little."""
+    count = len(motion.t)
+    placed = []
+    for a, b in pairs:
+        Xa, Xb = (np.broadcast_to(s.poses(motion), (count, 4, 4)) for s in (a, b))
+        near = np.linalg.norm(Xa[:, :3, 3] - Xb[:, :3, 3], axis=1) < a.radius + b.radius
+        placed.append((a, b, Xa, Xb, near))
+    misses = 0
+    for n in range(count):
+        misses += not any(near[n] and _collide(a, b, Xa[n], Xb[n]) for a, b, Xa, Xb, near in placed)
+        if misses > (1 - _NEARLY_ALWAYS) * count:
+            return 0.0
+    return 1 - misses / count
 
 
 def _positions(arm: UrdfArm, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:

@@ -28,6 +28,9 @@ PACKAGES = (
     "py-opw-kinematics",
 )
 
+NOT_KNOWN = "not known"
+"""A figure that needs a model of the part; a page without one leaves it out."""
+
 
 def report_html(plan: Plan) -> str:
     """The report of a plan, made just now or loaded from its folder.
@@ -78,10 +81,10 @@ def _numbers(summary: Summary) -> str:
     done, exact, time = summary.completeness, summary.accuracy, summary.time_s
 
     def share(value: float | None) -> str:
-        return "not known" if value is None else f"{value:.2%}"
+        return NOT_KNOWN if value is None else f"{value:.2%}"
 
     def mm(value: float | None) -> str:
-        return "not known" if value is None else f"{value:.3f} mm"
+        return NOT_KNOWN if value is None else f"{value:.3f} mm"
 
     budget, reach = summary.budget, summary.within_reach
     within = "inside" if budget.ok else "OVER"
@@ -107,7 +110,7 @@ def _numbers(summary: Summary) -> str:
     if summary.motion is not None:
         rows += _motion_rows(summary.motion)
     if done.final is None:
-        return section("In numbers", table((), rows))
+        return section("In numbers", table((), [row for row in rows if row[1] != NOT_KNOWN]))
     if reach.scanned is not None:
         told = f"{share(reach.scanned)} ({share(reach.share)} of what can be seen is within reach)"
         rows.insert(2, ("scanned, of what this robot's scanner can be brought to see", told))

@@ -3,8 +3,6 @@
 Nothing listens beyond the loopback device, and the page loads nothing from anywhere.
 """
 
-import json
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,9 @@ from pydrake.systems.framework import DiagramBuilder
 from scanmotion.cell.build import Cell
 from scanmotion.cell.drake_scene import add_cell
 from scanmotion.cell.kinematics import object_poses, scanner_poses
+from scanmotion.core.part import Part
 from scanmotion.core.trajectory import Trajectory
+from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.plan import Plan
 from scanmotion.report.figures import palette
 from scanmotion.report.figures.shapes import (  # fmt: skip
@@ -31,6 +31,7 @@ from scanmotion.report.figures.shapes import (  # fmt: skip
 )
 from scanmotion.report.figures.sight import first_sight
 from scanmotion.report.figures.surface import nearest_status, status_of_samples
+from scanmotion.report.scene_overlay import LEFT_OUT, NOT_WORTH_COLOUR, views_of, with_overlay
 
 FRAMES_PER_SECOND = 10.0
 _AXIS_COLOURS = ("#d62728", "#2ca02c", "#1f77b4")
@@ -44,7 +45,21 @@ def scene_html(plan: Plan) -> str:
     """
     meshcat = live_scene(plan)
     page = meshcat.StaticHtml()
-    return _with_overlay(page, plan)
+    return with_overlay(page, plan)
+
+
+def cell_page(cell: Cell, part: Part) -> str:
+    """A self-contained page of a cell at rest, with a part on its table, before anything is planned.
+
+    Args:
+        cell: with the part in it.
+        part: what stands on the table.
+    """
+    nothing = Plan(
+        part=part, cell=cell, options=PlanOptions(), segments=(), trajectory=None, cloud=None, holes=None,
+        samples=None, visible=None,
+    )  # fmt: skip
+    return scene_html(nothing)
 
 
 def live_scene(plan: Plan) -> Meshcat:
@@ -60,15 +75,16 @@ def live_scene(plan: Plan) -> Meshcat:
     _scanner(meshcat, plan)
     _frames(meshcat, plan)
     if plan.trajectory is None:
-        for path, X in bodies.poses(plan.cell.home[None]).items():
+        rest = plan.cell.home[None]
+        poses = bodies.poses(rest)
+        poses["scanner"], poses["part"] = scanner_poses(plan.cell, rest), object_poses(plan.cell, rest)
+        for path, X in poses.items():
             meshcat.SetTransform(path, _pose(X[0]))
     else:
         _path(meshcat, plan.cell, plan.trajectory)
         _record(meshcat, plan, plan.trajectory, bodies, appearing)
-    base, table = plan.cell.X_WB[:3, 3], plan.cell.X_WT[:3, 3]
-    eye: Any = table + [0.25, -2.4, 1.15]
-    target: Any = 0.63 * table + 0.37 * base + [0.0, 0.0, 0.45]
-    meshcat.SetCameraPose(eye, target)
+    pose: Any = views_of(plan).object_view
+    meshcat.SetCameraPose(*pose)
     return meshcat
 
 
@@ -198,17 +214,20 @@ def _cloud(meshcat: Meshcat, points: np.ndarray) -> None:
 
 
 def _viewpoints(meshcat: Meshcat, plan: Plan) -> None:
-    lost = dict(plan.left_out)
+    """Those that are served, and in a branch of its own, hidden at first, those that are left out."""
+    lost = {name: palette.CAUSE_COLOURS["out_of_reach"] for name, _ in plan.unreachable}
+    lost |= {name: NOT_WORTH_COLOUR for name, _ in plan.not_worth}
     scanner = plan.cell.settings.scanner_model()
     edges = field_edges(scanner, 0.02, 0.10)
     for view in plan.viewpoints:
-        left_out = palette.CAUSE_COLOURS["out_of_reach"]
         served = palette.STATUS_COLOURS[palette.SEEN_GLOBAL if view.step == "global" else palette.SEEN_LOCAL]
-        colour = left_out if view.id in lost else served
-        path = f"part/viewpoints/{view.id}"
+        colour = lost.get(view.id, served)
+        path = f"{LEFT_OUT if view.id in lost else 'part/viewpoints'}/{view.id}"
         _mesh(meshcat, f"{path}/field", segments(edges, 0.0015), colour)
         meshcat.SetTransform(f"{path}/field", _pose(view.X_OS))
         _text(meshcat, f"{path}/label", view.id, view.p_OS + np.array([0.0, 0.0, 0.03]), 0.04, colour)
+    if any(v.id in lost for v in plan.viewpoints):
+        meshcat.SetProperty(LEFT_OUT, "visible", False)
 
 
 def _text(meshcat: Meshcat, path: str, text: str, at: np.ndarray, height: float, colour: str) -> None:
@@ -310,89 +329,3 @@ def _changes(values: np.ndarray) -> np.ndarray:
     keep[1:] |= moved
     keep[:-1] |= moved
     return np.flatnonzero(keep)
-
-
-_OVERLAY = """
-<style>#sm{position:fixed;left:12px;top:12px;font:13px/1.5 system-ui,sans-serif;color:#222;
-background:#ffffffd9;padding:.6em .9em;border-radius:6px;max-width:23em}#sm b{font-weight:600}
-#sm i{display:inline-block;width:.8em;height:.8em;margin-right:.5em;border-radius:2px}
-#sm-now{font-variant-numeric:tabular-nums}#sm input{width:14em;vertical-align:middle}</style>
-<div id="sm"><b>%(title)s</b><br>%(numbers)s
-<div><button id="sm-play">pause</button>
-<input id="sm-at" type="range" min="0" max="%(seconds)s" step="0.05"></div>
-<div id="sm-now"></div>%(legend)s</div>
-<script>
-// scene.html#t=12 opens the scene at rest at 12 s.
-(function () {
-  const steps = %(steps)s, find = id => document.getElementById(id);
-  const play = find("sm-play"), at = find("sm-at"), now = find("sm-now");
-  let asked = /t=([0-9.]+)/.exec(location.hash);
-  function hold(a, t) { a.pause(); a.seek(t); a.display_progress(t); }
-  at.addEventListener("input", () => hold(viewer.animator, Number(at.value)));
-  play.addEventListener("click", () => {
-    const a = viewer.animator;
-    if (a.playing) a.pause(); else a.play();
-  });
-  // Labels face the reader and keep their size on the screen.
-  function labels(node, found) {
-    for (const [name, child] of Object.entries(node.children)) {
-      if (/(label|name)$/.test(name)) found.push(child.object);
-      labels(child, found);
-    }
-    return found;
-  }
-  let shown = "";
-  function face() {
-    requestAnimationFrame(face);
-    if (typeof viewer === "undefined" || !viewer.animator) return;
-    const c = viewer.camera, state = c.matrixWorld.elements.join() + viewer.animator.time;
-    if (state === shown) return;
-    shown = state;
-    const Q = c.quaternion.constructor, V = c.position.constructor, eye = c.getWorldPosition(new V());
-    const turn = c.getWorldQuaternion(new Q()).multiply(new Q(-Math.SQRT1_2, 0, 0, Math.SQRT1_2));
-    for (const o of labels(viewer.scene_tree, [])) {
-      o.quaternion.copy(o.parent.getWorldQuaternion(new Q()).invert().multiply(turn));
-      o.scale.setScalar(o.getWorldPosition(new V()).distanceTo(eye) / 2.4);
-    }
-    viewer.set_dirty();
-  }
-  face();
-  setInterval(function () {
-    const a = typeof viewer === "undefined" ? null : viewer.animator;
-    if (!a || !a.actions.length) return;
-    if (asked) { hold(a, Number(asked[1])); asked = null; }
-    const t = a.time, step = steps.find(s => t < s[1]) || steps[steps.length - 1];
-    if (a.playing || document.activeElement !== at) at.value = t;
-    play.textContent = a.playing ? "pause" : "play";
-    if (step) now.textContent = t.toFixed(1) + " s  " + step[2];
-  }, 100);
-})();
-</script>
-"""
-
-
-def _with_overlay(page: str, plan: Plan) -> str:
-    """The page with a legend, the numbers, and what is being done at the moment shown."""
-    time = 0.0 if plan.trajectory is None else plan.trajectory.duration
-    done = None if plan.summary is None else plan.summary.completeness.final
-    numbers = f"{time:.1f} s" + ("" if done is None else f", {done:.2%} of what can be seen")
-    entries = list(zip(palette.STATUS_NAMES, palette.STATUS_COLOURS, strict=True))
-    entries = [("not seen yet", palette.NOT_YET), *entries] if plan.samples is not None else []
-    kinds = dict.fromkeys(o.kind for o in plan.trajectory.operations) if plan.trajectory is not None else {}
-    entries += [(f"path: {kind}", palette.OPERATION_COLOURS[kind]) for kind in kinds]
-    entries += [("field of view (while scanning)", "#f2a33a"), ("viewpoint left out", "#c8102e")]
-    legend = "<br>".join(f'<i style="background:{c}"></i>{escape(name)}' for name, c in entries)
-    steps = [
-        (o.t_start, o.t_end, f"{o.kind} {' '.join(o.viewpoints)}")
-        for o in (plan.trajectory.operations if plan.trajectory is not None else ())
-    ]
-    overlay = _OVERLAY % {
-        "title": escape(plan.part.name),
-        "numbers": escape(numbers),
-        "legend": f"<div>{legend}</div><div>axes: red x, green y, blue z</div>",
-        "seconds": f"{time:.2f}",
-        # A "<" in a name must not be able to end or open a script element.
-        "steps": json.dumps(steps).replace("<", "\\u003c"),
-    }
-    head, end, tail = page.rpartition("</body>")
-    return head.replace("<title>Drake MeshCat</title>", "<title>scanmotion</title>") + overlay + end + tail

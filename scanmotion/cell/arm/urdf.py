@@ -29,6 +29,11 @@ OURS = frozenset(
 MOST_TRIANGLES = 500_000
 """Of one collision mesh."""
 _KEPT = ("link", "joint", "material")
+_OTHERS = {
+    ".sdf": "SDF", ".world": "SDF", ".xml": "MJCF", ".mjcf": "MJCF", ".yaml": "a file of Drake's directives",
+    ".yml": "a file of Drake's directives", ".usd": "USD", ".usda": "USD", ".srdf": "SRDF",
+}  # fmt: skip
+"""Descriptions of robots that are not read, by the ending."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -65,6 +70,7 @@ def urdf_from(path: Path, packages: tuple[Path, ...] = ()) -> Urdf:
         CellError: not a readable URDF; a mesh that is missing or cannot be read.
     """
     name = path.name
+    check_kind(path)
     raw = _bytes(path)
     root = _parsed(raw, name)
     meshes, edited = _collect_meshes(root, path, packages)
@@ -96,6 +102,21 @@ def urdf_from(path: Path, packages: tuple[Path, ...] = ()) -> Urdf:
         name=str(root.get("name")), text=tostring(root, encoding="unicode"), pieces=pieces, record=record,
         meshes=data, names=names, links=links, mimic=mimic, notes=_notes(root, hulls),
     )  # fmt: skip
+
+
+def check_kind(path: Path) -> None:
+    """Refuses what is by its ending no URDF.
+
+    Raises:
+        CellError: with what it is.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".xacro":
+        text = f"{path.name}: is xacro; expand it first (xacro {path.name} > my.urdf)"
+        raise CellError(text, key="robot.model")
+    if suffix in _OTHERS:
+        text = f"{path.name}: {_OTHERS[suffix]} is not read as a robot, a URDF is; convert it first"
+        raise CellError(text, key="robot.model")
 
 
 def _bytes(path: Path) -> bytes:

@@ -1,7 +1,8 @@
 """Distances and collision checks of configurations and edges, in two tiers.
 
-Fast tier: filter.py, conservative. Exact tier: Drake's checker for arm, tool, table and surroundings, and FCL
-on the part's true triangles. What the fast tier calls free is free; what it refuses may be free after all.
+Fast tier: sphere_filter.py, conservative. Exact tier: Drake's checker for arm, tool, table and surroundings,
+and FCL on the part's true triangles. What the fast tier calls free is free. What it refuses may be free in
+truth.
 """
 
 from functools import cached_property
@@ -11,6 +12,7 @@ import numpy as np
 
 from scanmotion.cell.arm.robot import Body
 from scanmotion.cell.collision.batch import first_free, lattice, sure_points, surely_blocked, tool_blocked
+from scanmotion.cell.collision.pairs import GUIDED_M, guided_names
 from scanmotion.cell.collision.shapes import box_of, fcl_object
 from scanmotion.cell.collision.sphere_filter import edge_free, edges_free, filter_from, margins
 from scanmotion.cell.kinematics import link_poses, object_poses
@@ -154,7 +156,13 @@ class Clearance:
         """The clearance that a pair named by `distance` has to keep [m]."""
         still = {b.name for b in self.cell.bodies if b.link > TOOL}
         part = self.cell.part.name if self.cell.part else ""
-        return self.clearance if still & set(pair) or pair[1] == part else self.self_clearance
+        if still & set(pair) or pair[1] == part:
+            return self.clearance
+        return min(self.self_clearance, GUIDED_M) if frozenset(pair) in self._guided else self.self_clearance
+
+    @cached_property
+    def _guided(self) -> frozenset[frozenset[str]]:
+        return guided_names(self.cell)
 
     @cached_property
     def _drake(self) -> Any:

@@ -23,7 +23,7 @@ from pydrake.common import Parallelism
 from pydrake.geometry import Box, Cylinder, GeometryId, SceneGraphInspector, Sphere
 from pydrake.multibody.tree import BodyIndex
 
-from scanmotion.cell.collision.drake_pairs import NotHeld, not_held
+from scanmotion.cell.collision.drake_pairs import GUIDED_M, NotHeld, guided, not_held
 from scanmotion.cell.drake_scene import DrakeCell
 from scanmotion.cell.kinematics import flange_poses, link_poses, object_poses
 from scanmotion.cell.model import Cell
@@ -78,6 +78,7 @@ class DrakeJudge:
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
         self._drake = DrakeCell(cell, hull=True, own_pairs=True)
+        self._guided = guided(cell, self._drake)
         self.not_held = not_held(cell, self._drake)
         self._drake.leave_out([ids for pair in self.not_held for ids in pair.ids])
         process = cell.settings.process
@@ -121,6 +122,7 @@ class DrakeJudge:
         checker = self._drake.checker
         checker.SetPaddingAllRobotEnvironmentPairs(to_world)
         checker.SetPaddingAllRobotRobotPairs(to_self)
+        self._drake.keep_apart(self._guided, min(to_self, GUIDED_M + to_self - self._asked_self))
         rows = list(self._drake.positions(q))
         return np.array(checker.CheckConfigsCollisionFree(rows, parallelize=Parallelism(1)), dtype=bool)
 

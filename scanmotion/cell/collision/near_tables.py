@@ -26,8 +26,6 @@ CELLS = 256
 _COARSEST = 8
 _STOP = 64
 """From so many cells on, a cell whose middle touches is blocked as a whole."""
-_NEAR = frozenset({(0, 2), (4, 6), (5, TOOL)})
-"""Links that are told apart by tables."""
 _WRAP = CELLS // 4
 FREE_M = 1e3
 """Value of a table without blocked cells, where nothing needs to be looked up."""
@@ -41,11 +39,6 @@ class NearTables:
     """How far the nearest blocked cell is [m], -1 in one; shape (k, CELLS, CELLS), of k pairs of links."""
     joints: np.ndarray
     """The two joints of each, twice the same where one joint is between, shape (k, 2)."""
-
-
-def by_tables(low: Body, high: Body) -> bool:
-    """Whether two solids, the second farther from the base, are told apart by tables."""
-    return (low.link, high.link) in _NEAR and not (low.side or high.side)
 
 
 def near_tables(
@@ -191,11 +184,11 @@ def _ways(blocked: np.ndarray, first: float, second: float, *, one: bool) -> np.
     steps = 2 * np.pi / CELLS * np.array([first, second])
     if one:
         line = np.pad(blocked[:, 0], _WRAP, mode="wrap")
-        way = distance_transform_edt(~line, sampling=steps[1])[_WRAP:-_WRAP, None]  # type: ignore[index]
+        way = np.asarray(distance_transform_edt(~line, sampling=steps[1]))[_WRAP:-_WRAP, None]
         way = np.tile(np.minimum(way, _WRAP * steps[1]) - steps[1], (1, CELLS))
     else:
         square = np.pad(blocked, _WRAP, mode="wrap")
-        way = distance_transform_edt(~square, sampling=steps)[_WRAP:-_WRAP, _WRAP:-_WRAP]  # type: ignore[index]
+        way = np.asarray(distance_transform_edt(~square, sampling=steps))[_WRAP:-_WRAP, _WRAP:-_WRAP]
         way = np.minimum(way, _WRAP * steps.min()) - np.linalg.norm(steps)
     return np.where(blocked, -1.0, np.maximum(way, 0.0)).astype(np.float32)
 

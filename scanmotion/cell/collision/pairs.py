@@ -1,12 +1,13 @@
 """Which solids of the robot the planner does not hold against one another, solid by solid, with the reason.
 
 Guarantee: left out are only solids that are fixed to one another, those of two links that a joint joins, and
-those that come nearer than the clearance in nearly all positions of the joints between them, inside the
-maker's limits: no motion could mend that. Everything else is kept apart.
+those that touch in nearly all positions of the joints between them, inside the maker's limits, or pass one
+another nearer than the clearance in nearly all of them and touch in none: no motion could mend that. The
+convex pieces of a link's meshes count as one solid there. Everything else is kept apart.
 """
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from weakref import WeakKeyDictionary
 
 import fcl
@@ -22,6 +23,9 @@ NEARLY_ALWAYS = 0.95
 
 The default of MoveIt's Setup Assistant for pairs that are "always" in collision.
 """
+GUIDED_M = 1e-3
+"""What neighbours but one keep: the joints between guide them past one another, often at a few mm [m]."""
+_GUIDED = frozenset({(0, 2), (4, 6), (5, TOOL)})
 _TRIES = {1: 24, 2: 14}
 """Angles of each joint that are tried, by the number of joints between two links; more keep them apart."""
 _FIXED, _JOINED = "fixed to one another", "joined by a joint"
@@ -65,6 +69,29 @@ def ignored(cell: Cell) -> np.ndarray:
     return out
 
 
+def guided(low: Body, high: Body) -> bool:
+    """Whether two solids, the second farther from the base, are neighbours but one that joints guide."""
+    return (low.link, high.link) in _GUIDED and not (low.side or high.side)
+
+
+def asked_of(cell: Cell, low: Body, high: Body) -> float:
+    """The clearance that two of the robot's solids keep [m]."""
+    own = cell.settings.process.self_clearance_m
+    return min(own, GUIDED_M) if guided(low, high) else own
+
+
+def guided_names(cell: Cell) -> frozenset[frozenset[str]]:
+    """Pairs of links, or of a link and a solid of the tool, of which all solids are guided."""
+    robot = [b for b in cell.bodies if b.link <= TOOL]
+    kept: dict[frozenset[str], bool] = {}
+    for a, b in combinations(robot, 2):
+        low, high = sorted((a, b), key=lambda body: body.link)
+        for name in (high.carrier,) if high.carrier else (high.name, "tool"):
+            key = frozenset((low.carrier, name))
+            kept[key] = kept.get(key, True) and guided(low, high)
+    return frozenset(key for key, all_guided in kept.items() if all_guided)
+
+
 def on_floor(cell: Cell, body: Body) -> bool:
     """Whether a solid is held against the floor: the base and what A1 turns stand on it by construction."""
     return body.link > 1 or body.side
@@ -79,7 +106,8 @@ def _reason(cell: Cell, low: Body, high: Body) -> str:
         return _JOINED
     if between not in _TRIES:
         return ""
-    share = _share_near(cell.robot, low, high, cell.settings.process.self_clearance_m)
+    asked = asked_of(cell, low, high)
+    share = _share_near(cell.robot, _whole(cell, low), _whole(cell, high), asked)
     if share < NEARLY_ALWAYS:
         return ""
     return f"they meet in {share:.0%} of the positions of the joints between them"
@@ -95,30 +123,57 @@ def solid_key(body: Body) -> tuple:
     return body.link, body.shape, body.size, body.X_LG.tobytes(), points
 
 
-def _share_near(robot: Robot, low: Body, high: Body, clearance: float) -> float:
-    """Share of positions in which two solids are nearer than a clearance.
+def _whole(cell: Cell, body: Body) -> list[Body]:
+    """All pieces of the meshes of a solid's link, or the solid alone."""
+    if body.shape != "hull":
+        return [body]
+    return [
+        b
+        for b in cell.bodies
+        if b.shape == "hull" and (b.link, b.carrier, b.mesh) == (body.link, body.carrier, body.mesh)
+    ]
+
+
+def _share_near(robot: Robot, low: list[Body], high: list[Body], clearance: float) -> float:
+    """Share of positions in which two solids, each in pieces, are nearer than a clearance.
 
     It is exact from `NEARLY_ALWAYS` on; below, counting stops when that cannot be reached any more.
     """
     known = _KNOWN.setdefault(robot, {})
-    key = solid_key(low), solid_key(high), clearance
+    key = tuple(map(solid_key, low)), tuple(map(solid_key, high)), clearance
     if key not in known:
         known[key] = _counted(robot, low, high, clearance)
     return known[key]
 
 
-def _counted(robot: Robot, low: Body, high: Body, clearance: float) -> float:
-    X = positions_between(robot, low, high, _TRIES[min(high.link, 6) - low.link])
-    X = X[fixed_stream("pairs").permutation(len(X))]
-    first, second = fcl_object(low, low.X_LG), fcl_object(high, np.eye(4))
-    apart = np.linalg.norm(X[:, :3, 3] - low.X_LG[:3, 3], axis=1)
-    far = apart > np.linalg.norm(box_of(low)) + np.linalg.norm(box_of(high)) + clearance
-    misses, most = 0, (1 - NEARLY_ALWAYS) * len(X)
-    for n in range(len(X)):
-        misses += bool(far[n]) or not near(first, second, X[n], clearance)
-        if misses > most:
+def _counted(robot: Robot, low: list[Body], high: list[Body], clearance: float) -> float:
+    tries = _TRIES[min(high[0].link, 6) - low[0].link]
+    count = tries ** (min(high[0].link, 6) - low[0].link)
+    order = fixed_stream("pairs").permutation(count)
+    pairs = []
+    for a, b in product(low, high):
+        X = positions_between(robot, a, b, tries)[order]
+        apart = np.linalg.norm(X[:, :3, 3] - a.X_LG[:3, 3], axis=1)
+        close = apart <= np.linalg.norm(box_of(a)) + np.linalg.norm(box_of(b)) + clearance
+        pairs.append((X, close, fcl_object(a, a.X_LG), fcl_object(b, np.eye(4))))
+    misses, apart, most = 0, 0, (1 - NEARLY_ALWAYS) * count
+    for n in range(count):
+        met = touched = False
+        for k, (X, close, first, second) in enumerate(pairs):
+            if not (close[n] and solids_near(first, second, X[n], clearance)):
+                continue
+            met = True
+            touched = touched or solids_near(first, second, X[n], min(clearance, GUIDED_M))
+            if touched:
+                # What touches once touches again soon: it is asked first from now on.
+                pairs.insert(0, pairs.pop(k))
+                break
+        misses += not met
+        apart += not touched
+        # What is always too near must touch always or never: else there are positions to keep off.
+        if misses > most or most < apart < n + 1:
             return 0.0
-    return 1.0 - misses / len(X)
+    return 1.0 - misses / count
 
 
 def positions_between(robot: Robot, low: Body, high: Body, tries: int) -> np.ndarray:
@@ -147,7 +202,9 @@ def poses_between(robot: Robot, low: Body, high: Body, q: np.ndarray) -> np.ndar
     return X @ high.X_LG
 
 
-def near(first: fcl.CollisionObject, second: fcl.CollisionObject, X: np.ndarray, clearance: float) -> bool:
+def solids_near(
+    first: fcl.CollisionObject, second: fcl.CollisionObject, X: np.ndarray, clearance: float
+) -> bool:
     """Whether the second object, put at X, is nearer to the first than a clearance."""
     second.setTransform(fcl.Transform(np.ascontiguousarray(X[:3, :3]), np.ascontiguousarray(X[:3, 3])))
     if fcl.collide(first, second, fcl.CollisionRequest(), fcl.CollisionResult()):

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 
 from scanmotion.cell.arm.robot import Body
-from scanmotion.cell.collision.near_tables import by_tables, near_tables, way_to_blocked
-from scanmotion.cell.collision.pairs import ignored, on_floor
+from scanmotion.cell.collision.near_tables import near_tables, way_to_blocked
+from scanmotion.cell.collision.pairs import GUIDED_M, guided, ignored, on_floor
 from scanmotion.cell.collision.shapes import beyond, box_of
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 from scanmotion.core.part import Part
@@ -81,10 +81,10 @@ def filter_from(
     of = {id(b): n for n, b in enumerate(robot)}
     links = np.array([b.link for b in robot])
     pairs = ~ignored(cell)[[of[id(b)] for b in moving]] & (groups[:, None] > links)
-    tabled = np.array([[by_tables(low, high) for low in robot] for high in moving])
+    tabled = np.array([[guided(low, high) for low in robot] for high in moving])
     near = [(robot[b], moving[g]) for g, b in np.argwhere(pairs & tabled)]
     reach = _reach(cell, spheres, np.repeat(groups, np.diff(starts)))
-    tables = near_tables(cell, near, cell.settings.process.self_clearance_m, reach)
+    tables = near_tables(cell, near, min(cell.settings.process.self_clearance_m, GUIDED_M), reach)
     return Filter(
         chain=(
             np.ascontiguousarray(cell.robot.X_PJ), np.ascontiguousarray(cell.robot.axes),

@@ -314,6 +314,12 @@ def _message(first: Any, key: str, data: dict) -> str:
         unit = {"m": "metres", "mm": "millimetres", "deg": "degrees"}.get(suffix)
         hint = f"; is it in {unit}?" if unit else ""
         return f"{value!r} is {side} the {'least' if side == 'below' else 'greatest'} {bound:g} allowed{hint}"
+    if kind in ("too_long", "too_short"):
+        asked = context.get("max_length" if kind == "too_long" else "min_length")
+        hint = "; a decimal comma makes two numbers of one" if kind == "too_long" else ""
+        return f"{asked} values are expected, not {context.get('actual_length')}{hint}"
+    if kind == "invalid_key":
+        return "a key is a word; a decimal comma ends a value: write a point"
     if kind == "string_pattern_mismatch":
         return f"{str(value)[:40]!r}: letters, digits, spaces, '.', '_' and '-' are expected"
     text = first["msg"].removeprefix("Value error, ")

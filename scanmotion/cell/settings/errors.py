@@ -1,6 +1,4 @@
-"""What arm, table and scanner get wrong, as settings: what the twin simulates, and what calibration has
-found.
-"""
+"""What arm, table and scanner get wrong, as settings: what the twin simulates, what calibration found."""
 
 import math
 from typing import Annotated, Any

@@ -1,4 +1,4 @@
-"""Commands about robots: `reach`, `robots`."""
+"""`scanmotion reach`: which viewpoints a cell serves, and where its table should stand."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`scanmotion cell init` and `scanmotion cell check`."""
+"""`scanmotion cell init`, `scanmotion cell check` and `scanmotion cell show`."""
 
 from math import degrees, isfinite
 from pathlib import Path
@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from scanmotion.cli.app import OK, print_table
-from scanmotion.cli.inputs import Robot, write_text
+from scanmotion.cli.inputs import Box, PartFile, Robot, Units, Up, check_suffix, write_text
 from scanmotion.core.errors import CellError, InputError
 
 if TYPE_CHECKING:
     from scanmotion.cell.model import Cell
 
 cell_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode="rich", help="Start or check a description of your own cell."
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    help="Start, check or look at a description of your own cell.",
 )
 
 
@@ -54,6 +56,31 @@ def check(file: Annotated[Path, typer.Argument(help="YAML file of a cell.")]) ->
         for name, low, high, speed in ranges
     ]
     print_table(f"{file}: ready", ("joint", "range", "speed"), rows)
+    return OK
+
+
+@cell_app.command("show", epilog="Example: scanmotion cell show my-cell.yaml --out cell.html")
+def show_cell(
+    file: Annotated[
+        str, typer.Argument(help="YAML file of a cell, or the name of a built-in robot.")
+    ] = "kr240",
+    box: Box = None,
+    part: PartFile = None,
+    units: Units = "",
+    up: Up = "",
+    out: Annotated[Path, typer.Option("--out", help="Page to write.")] = Path("cell.html"),
+) -> int:
+    """Draw a cell at rest, before anything is planned; without --part or --box with the built-in carving."""
+    from scanmotion.cell.build import build_cell
+    from scanmotion.cli.inputs import cell_from, part_and_source
+    from scanmotion.report.scene import cell_page
+
+    named = not file.lower().endswith((".yaml", ".yml"))
+    settings = cell_from(file if named else None, None if named else Path(file))
+    check_suffix("--out", out, ".html")
+    subject, _ = part_and_source(part, box, None, units=units, up=up)
+    write_text(out, cell_page(build_cell(settings, subject), subject))
+    typer.echo(f"{out}\nNext: scanmotion plan {'--robot' if named else '--cell'} {file} --out out")
     return OK
 
 

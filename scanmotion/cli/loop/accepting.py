@@ -11,9 +11,7 @@ from scanmotion.cli.inputs import CellFile, Json, Quiet, Robot, Seed, cell_from
 def acceptance(
     robot: Robot = None,
     cell: CellFile = None,
-    stride: Annotated[
-        int, typer.Option("--stride", min=1, max=16, help="Every so-manieth pixel is cast.")
-    ] = 4,
+    stride: Annotated[int, typer.Option("--stride", min=1, max=16, help="Every n-th pixel is cast.")] = 4,
     seed: Seed = 0,
     quiet: Quiet = False,
     json: Json = False,

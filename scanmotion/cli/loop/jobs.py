@@ -94,7 +94,7 @@ def add(
     ] = None,
     kind: Annotated[str, typer.Option("--kind", help="With --simulate: ply, xyz or npz.")] = "ply",
     stride: Annotated[
-        int, typer.Option("--stride", min=1, max=64, help="With --simulate: every so-manieth pixel.")
+        int, typer.Option("--stride", min=1, max=64, help="With --simulate: every n-th pixel.")
     ] = 2,
     quiet: Quiet = False,
     json: Json = False,

@@ -197,7 +197,7 @@ def export(
     quiet: Quiet = False,
 ) -> int:
     """Write a plan for a controller or another program, and beside a programme its risk sheet."""
-    from scanmotion.export import PROGRAMMES, export_plan
+    from scanmotion.controller.export_plan import export_plan
 
     if out is not None and out.exists() and not out.is_dir():
         raise InputError(f"--out {out}: is not a folder")
@@ -205,20 +205,8 @@ def export(
         folder = _rest_folder(folder, out, step, at)
     elif at is not None:
         raise InputError("--at: belongs to --rest or --step")
-    paths = export_plan(folder, to, out=out, name=name, signal=signal, dry_run=dry_run)
-    if risk and to in PROGRAMMES:
-        paths += _risk_sheet(folder, folder if out is None else out, name)
+    paths = export_plan(folder, to, out=out, name=name, signal=signal, dry_run=dry_run, risk=risk)
     for path in paths:
         if not quiet:
             typer.echo(str(path))
     return OK
-
-
-def _risk_sheet(folder: Path, out: Path, name: str) -> list[Path]:
-    """Writes the risk sheet of the plan."""
-    from scanmotion.export.source import write_files
-    from scanmotion.judge.left_out import not_judged
-    from scanmotion.judge.risk.page import risk_files
-    from scanmotion.judge.risk.sheet import risk_of
-
-    return write_files(out, risk_files(risk_of(folder), name, not_judged(folder)))

@@ -32,6 +32,7 @@ from scanmotion.cli.inputs import (  # fmt: skip
     say_read,
 )
 from scanmotion.cli.plans.complete import is_complete, say_answer, write_answer
+from scanmotion.cli.plans.explaining import say_explained
 from scanmotion.cli.plans.pages import pages
 from scanmotion.cli.plans.placing import New, own_views_from, placing_from, plan_placed, say_placed
 from scanmotion.cli.plans.summarising import print_summary
@@ -183,6 +184,14 @@ def plan(
             rich_help_panel=OUT,
         ),
     ] = None,
+    explain: Annotated[
+        bool,
+        typer.Option(
+            "--explain",
+            help="Say which stage lost which viewpoints: candidates, reach, order, way there, worth, budget.",
+            rich_help_panel=OUT,
+        ),
+    ] = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:
@@ -228,6 +237,7 @@ def plan(
     with progress_bar(quiet=quiet or json) as progress:
         made = request.planned(progress)
         made = replace(made, meta={**made.meta, **noted})
+        told = say_explained(made, json=json) if explain else {}
         if is_complete(made):
             write_answer(made, out, html=html)
         else:
@@ -239,7 +249,7 @@ def plan(
         return OK
     summary = read_summary(out)
     if json:
-        say_json(summary.document())
+        say_json(summary.document() | told)
     elif not quiet:
         print_summary(summary, out, html=html)
     return OK if summary.passes else CHECK_FAILED

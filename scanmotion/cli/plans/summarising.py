@@ -1,5 +1,6 @@
 """The table that ends `scanmotion plan`."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,6 +10,7 @@ from scanmotion.cli.app import print_table
 if TYPE_CHECKING:
     from scanmotion.core.summary import LeftOut, Summary, ViewpointSummary, WithinReach
 
+_FORMATS = {"kr210": "krl-timed", "kr240": "krl-timed", "kr240-ultra": "krl-timed", "irb6700": "rapid"}
 FEW = 3
 """Viewpoints that are only not worth their seconds are listed one by one up to this many."""
 
@@ -27,6 +29,21 @@ def print_summary(summary: "Summary", folder: Path, *, html: bool = True) -> Non
     names = ["trajectory.csv", "summary.json"] + (["scene.html", "report.html"] if html else [])
     names += [name for name in ("cloud.ply", "deviation.ply") if (folder / name).is_file()]
     print_table("Files", (), [(name.split(".")[0], str(folder / name)) for name in names])
+    print_table("Next", (), next_rows(summary, folder))
+
+
+def next_rows(summary: "Summary", folder: Path) -> list[tuple[str, str]]:
+    """What somebody does with a plan that is done: purpose and command."""
+    rows = [("look at it", f"scanmotion show {folder}"), ("judge it again", f"scanmotion verify {folder}")]
+    if summary.passes:
+        rows.append(("write the programme", f"scanmotion export {folder} --to {_format_for(folder)}"))
+    return rows
+
+
+def _format_for(folder: Path) -> str:
+    """The format that the maker of a built-in robot reads; ROS for any other."""
+    model = str(json.loads((folder / "cell.json").read_text(encoding="utf-8"))["robot"]["model"])
+    return _FORMATS.get(model, "ros")
 
 
 def left_out_rows(unreachable: "Sequence[LeftOut]", not_worth: "Sequence[LeftOut]") -> list[tuple[str, ...]]:
@@ -43,14 +60,19 @@ def summary_rows(summary: "Summary") -> list[tuple[str, ...]]:
     time, budget = summary.time_s, summary.budget
     split = f"arm {time.arm:.1f}, table {time.table:.1f}, sweep {time.sweep:.1f}, dwell {time.dwell:.1f}"
     verdict = "inside" if budget.ok else "OVER"
-    return [
-        ("viewpoints", f"{views.global_} global, {views.local} local, {_left_out(views)}"),
+    seen = [
         ("completeness, of what can be seen", _share(done.final)),
         *sure_rows(summary),
         ("after the global step", _share(done.after_global)),
         *reach_rows(summary.within_reach),
         ("of the whole surface", _share(done.final_of_whole)),
         ("accuracy", f"mean {_mm(exact.mean_abs_mm)}, standard deviation {_mm(exact.sd_signed_mm)}"),
+    ]
+    if done.final is None:
+        seen = [("completeness", "not known: there is no model of the part (--part)")]
+    return [
+        ("viewpoints", f"{views.global_} global, {views.local} local, {_left_out(views)}"),
+        *seen,
         *twin_rows(summary),
         (
             "time",

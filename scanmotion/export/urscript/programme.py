@@ -34,7 +34,9 @@ TICK_S, LAG_MS = 0.01, 50
 """Cycle of the arm's programme [s]; how long after the signal arm and table begin [ms]."""
 ARM_DEG, TABLE_DEG, LONGEST_S, SHORTEST_S, MOST_POINTS = 0.005, 0.005, 0.25, 0.03, 900
 """How far cubics through the points may be from the plan [deg], their distances [s], points of one step."""
-BACK_RAD_S, TABLE_BACK_DEG_S, TABLE_STOP_DEG_S2 = 0.1, 5.0, 30.0
+SCAN_LONGEST_S = 0.1
+"""The same where the way back after a fault leads from point to point [s]."""
+BACK_RAD_S, TABLE_BACK_DEG_S, TABLE_STOP_DEG_S2 = 0.1, 15.0, 30.0
 """Speeds of the way back after a fault, and how the table halts."""
 DIGITAL, REGISTERS = 7, 63
 """Signals up to 7 are digital ones of the control box, above those of a field bus: boolean registers."""
@@ -155,9 +157,17 @@ def _facts(job: ExportJob) -> dict[str, str]:
                          f"scanner not done: input {s.done_in} not on within {s.done_timeout_s:g} s"),
         "table_ready": _awaited(s.table_ready_in, s.ready_timeout_s,
                                 f"the table is not where the step begins: input {s.table_ready_in} not on"),
+        "table_back": _awaited(s.table_ready_in, s.ready_timeout_s + _back_seconds(job),
+                               f"the table is not back at the step's start: input {s.table_ready_in} not on"),
         "tcp": _pose(job.X_FS), "mass": f"{job.mass:.3f}",
         "centre": "[" + ", ".join(f"{v + 0.0:.5f}" for v in job.centre_of_mass) + "]",
     }  # fmt: skip
+
+
+def _back_seconds(job: ExportJob) -> float:
+    """How long the drive's longest way back to the start of a step takes [s]."""
+    turns = [float(np.rad2deg(np.ptp(x.q[:, 6]))) for x in job.stretches if x.operation.scanning]
+    return float(np.ceil(max(turns, default=0.0) / TABLE_BACK_DEG_S))
 
 
 def _six(q: np.ndarray) -> str:
@@ -197,7 +207,7 @@ def _remarks(job: ExportJob) -> list[str]:
     return [*told, f"The output {s.start_out} is on then."] if s.start_out else told
 
 
-def points_of(stretch: Stretch, ticks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def ticked_points(stretch: Stretch, ticks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points of an arm's motion that lasts a whole number of ticks.
 
     Returns:
@@ -205,8 +215,9 @@ def points_of(stretch: Stretch, ticks: int) -> tuple[np.ndarray, np.ndarray, np.
     """
     grid, q, qd = _on_ticks(stretch, ticks)
     knots, _ = spline_knots(
-        grid, np.rad2deg(q[:, :6]), ARM_DEG, longest=LONGEST_S, shortest=SHORTEST_S, most=MOST_POINTS
-    )
+        grid, np.rad2deg(q[:, :6]), ARM_DEG, shortest=SHORTEST_S, most=MOST_POINTS,
+        longest=SCAN_LONGEST_S if stretch.operation.scanning else LONGEST_S,
+    )  # fmt: skip
     return np.diff(np.round(grid[knots] / TICK_S)), q[knots[1:], :6], qd[knots[1:], :6]
 
 
@@ -230,7 +241,7 @@ def _arm(stretch: Stretch, job: ExportJob, *, marks: bool = False) -> list[str]:
     if not _moves(stretch.q[:, :6]):
         return [f"{job.name}_hold({ticks * slow:.1f})"]
     lines = [f"global {job.name}_q = {_six(stretch.q[0])}", f"global {job.name}_v = {_six(np.zeros(6))}"]
-    for k, (n, q, v) in enumerate(zip(*points_of(stretch, ticks), strict=True), 1):
+    for k, (n, q, v) in enumerate(zip(*ticked_points(stretch, ticks), strict=True), 1):
         lines.append(f"{job.name}_to({_six(q)}, {_six(v / slow)}, {n * slow:.1f})")
         if marks:
             lines += [f"if not {job.name}_bad:", f"  global {job.name}_at = {k}", "end"]
@@ -261,10 +272,10 @@ def _step(n: int, stretch: Stretch, job: ExportJob) -> tuple[list[str], list[str
 def _ended(stretch: Stretch, job: ExportJob, table: bool) -> list[str]:
     """After a step: its end, or the way back along what was driven."""
     name = job.name
-    end = [f"{name}_table_ready()"] if table else []
+    end = [f"{name}_table_back()"] if table else []
     lines = [f"if {name}_bad:", f"  {name}_broken()", *(f"  {x}" for x in end)]
     if _moves(stretch.q[:, :6]):
-        _, q, _ = points_of(stretch, _ticks(stretch))
+        _, q, _ = ticked_points(stretch, _ticks(stretch))
         way = [stretch.q[0], *q]
         for k in range(len(way) - 2, 0, -1):
             lines += [f"  if {name}_at >= {k}:", f"    {_back(way[k])}", "  end"]

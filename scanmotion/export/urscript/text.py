@@ -151,6 +151,11 @@ HEAD = """def @():
 ?done {done}
 ?scan   end
 
+?fault   def @_table_back():
+?fault     # the drive turns back to where the step begins
+?fault {table_back}
+?fault   end
+
 ?fault   def @_broken():
 ?fault     # a fault of the scanner: the arm and the table stop
 ?fault     stopj(2.0)

@@ -23,14 +23,14 @@ _MOST_JUMP_DEG = 2.5
 """Farther than that from where the joints are servoj would start with a jerk: 250 deg/s in a cycle [deg]."""
 
 
-class TableDrive:
+class DrivenTable:
     """The table's drive in time: it looks at the arm's signals and says whether it is ready."""
 
     def __init__(self, programme: TableProgramme, angle: float) -> None:
         """Args: what it runs, and where it stands [deg]."""
         self.programme, self.angle = programme, angle
         self.state, self.over, self.since = 0, 0, 0.0
-        self.begun = False
+        self.broken = False
         self.t = 0.0
         self.curve: CubicSpline | None = None
         self.fall: tuple[float, float] | None = None
@@ -72,7 +72,7 @@ class TableDrive:
             self.fall = (self.angle, speed)
         if self.state == 2 and not start:
             self.state = 5
-        if self.state == 9 and not start:
+        if self.state == 9 and not start and not self.broken:
             self.state = 0
 
     def _begin(self) -> float:
@@ -121,11 +121,13 @@ class ArmAndTable(Machine):
         self.signals = self.system["SIGNALS"]
         if not isinstance(programme.table, TableProgramme):
             raise PlanFileError("the programme of the table's drive is missing")
-        self.table = TableDrive(programme.table, float(self.q[6]))
+        self.table = DrivenTable(programme.table, float(self.q[6]))
         self.word = 0
 
     def _stand(self, dt: float, q: np.ndarray) -> None:
         where = np.array(q, float)
+        if self.t >= getattr(self.world, "table_fault_at", np.inf):
+            self.table.state, self.table.broken = 9, True
         where[6] = self.table.advance(
             self.t + dt, self.outputs.get(self.signals.table_start_out, False), self.word
         )

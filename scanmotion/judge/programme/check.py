@@ -15,6 +15,7 @@ from scanmotion.core.finding import Finding
 from scanmotion.judge.contact import check_clearance
 from scanmotion.judge.limits import check_speed
 from scanmotion.judge.motion import motion_at
+from scanmotion.judge.programme.bad_circumstances import bad_circumstances, strange_outputs
 from scanmotion.judge.programme.compare import Deviation, path_deviations
 from scanmotion.judge.programme.controller import (
     Controller,
@@ -27,11 +28,9 @@ from scanmotion.judge.programme.world import Run, ScriptedScanner
 from scanmotion.judge.views import judge_viewpoints
 
 SPEED_MORE, GAIN_MORE = 1.03, 1.25
+"""By how much speeds and the accelerations of splines may exceed the plan's limits."""
 MOVING = ("transit", "sweep", "helix", "path")
 """Kinds of operation in which the scanner's speed is judged."""
-"""By how much speeds and the accelerations of splines may exceed the plan's limits."""
-OFF_START_DEG = 2.0
-"""Where the programme must not begin to move: this far from the start."""
 _FRAME_S = 0.012
 """Frames come with the controller's cycle."""
 
@@ -79,7 +78,7 @@ def verify_programme(
     )
     findings += _motion(controller, run, found, clearance, progress)
     if not findings and not controller.dry:
-        findings += bad_circumstances(controller)
+        findings += bad_circumstances(controller, run)
     own = run.t[run.step > 0]
     return ProgrammeReport(
         findings=tuple(findings), deviations=tuple(found),
@@ -117,17 +116,7 @@ def _signals(controller: Controller, run: Run) -> list[Finding]:
         if words != steps or any(not span.startswith(e.text) for e in run.said("word")):
             text = f"the outputs {span} do not tell the step's number"
             findings.append(Finding(code="order", message=text))
-    allowed = {
-        s.start_out,
-        *([s.table_start_out] if controller.programme.language == "urscript" else []),
-        *range(s.step_out, s.step_out + s.step_bits * bool(s.step_out)),
-    }
-    strange = sorted({e.number for e in run.said("output")} - allowed)
-    if strange:
-        findings.append(
-            Finding(code="order", message=f"it switches the outputs {strange}, the cell has none there")
-        )
-    return findings
+    return findings + strange_outputs(controller, run)
 
 
 def _frames(controller: Controller, run: Run, n: int, timed: bool) -> list[Finding]:
@@ -222,78 +211,6 @@ def _with_operations(controller: Controller, driven: Any) -> Any:
         for p, o in zip(planned, driven.operations, strict=True)
     )
     return controller.record.model_copy(update={"operations": operations})
-
-
-def bad_circumstances(controller: Controller) -> list[Finding]:
-    """What the programme does when it begins elsewhere, and when the scanner is not ready, done or well."""
-    findings, s = [], controller.signals
-    for j in range(7):
-        start = controller.start.copy()
-        start[j] += OFF_START_DEG
-        run, _ = controller.run(ScriptedScanner(signals=s), start)
-        if np.abs(run.q - start).max() > 1e-9 or run.ended or not _spoke(run):
-            text = f"it begins with {controller.record.joint_names[j]} {OFF_START_DEG:g} deg from the start"
-            findings.append(Finding(code="order", message=text, where="start"))
-    if s.ready_in:
-        findings += _times_out(controller, "ready", s.ready_timeout_s)
-    if s.done_in:
-        findings += _times_out(controller, "done", s.done_timeout_s)
-    if s.fault_in:
-        findings += _faults(controller)
-    return findings
-
-
-def _spoke(run: Run) -> bool:
-    """Whether the operator was told something before the halt."""
-    return bool(run.said("halt")) and bool(run.said("say")) and len(run.said("halt")[-1].text) > 5
-
-
-def _times_out(controller: Controller, what: str, limit: float) -> list[Finding]:
-    """A scanner that answers late: a message after the time-out, and a new wait when it was acknowledged."""
-    run, _ = controller.run(_late(controller, what))
-    halts = run.said("halt")
-    moves = np.flatnonzero(np.abs(np.diff(run.q, axis=0)).max(axis=1) > 1e-9) + 1
-    before = [run.t[moves[run.t[moves] <= h.t][-1]] for h in halts[:1] if (run.t[moves] <= h.t).any()]
-    still = halts[0].t - (before[0] if before else run.t[0]) if halts else 0.0
-    if run.ended and _spoke(run) and len(halts) == 1 and -0.02 <= still - limit < 0.5:
-        return []
-    text = f"a scanner that is late to be {what} is waited for {still:.1f} s, not {limit:g} s and a message"
-    return [Finding(code="order", message=text, where="handshake")]
-
-
-def _late(controller: Controller, what: str) -> ScriptedScanner:
-    """A scanner that takes one and a half time-outs for the first recording."""
-    s = controller.signals
-    if what == "done":
-        return ScriptedScanner(signals=s, late_done=1.5 * s.done_timeout_s, patience=1)
-    never, _ = controller.run(ScriptedScanner(signals=s, ready_after=np.inf))
-    arrived = never.t[-1] - s.ready_timeout_s
-    return ScriptedScanner(signals=s, ready_after=arrived + 1.5 * s.ready_timeout_s, patience=1)
-
-
-def _faults(controller: Controller) -> list[Finding]:
-    """A fault in each step that scans: a stop, a message, the way back along what was driven, and again."""
-    planned = controller.planned
-    scans = [n for n, o in enumerate(planned, 1) if o.scanning]
-    brief = min(o.t_end - o.t_start for o in planned if o.scanning) if scans else 0.0
-    # Every second recording is broken off: each step once, and its repetition goes well.
-    scanner = ScriptedScanner(
-        signals=controller.signals, faults=frozenset(range(1, 2 * len(scans), 2)),
-        fault_after=min(max(brief / 2, 0.05), 2.0), patience=len(scans),
-    )  # fmt: skip
-    run, _ = controller.run(scanner)
-    findings = []
-    if not run.ended or scanner.recordings != 2 * len(scans) or len(run.said("brake")) != len(scans):
-        text = "a fault of the scanner does not lead to a stop, a message, the way back and a new try"
-        findings.append(Finding(code="order", message=text, where="handshake"))
-    found, more = path_deviations(controller, run)
-    # The steps take longer and go farther, by the way back; their place is what counts.
-    findings += [f for f in more if " deg longer " not in f.message and f.code != "time"]
-    if len(found) != len(planned):
-        findings.append(
-            Finding(code="order", message="a fault of the scanner loses a step", where="handshake")
-        )
-    return findings
 
 
 def summary_of(report: ProgrammeReport) -> dict[str, Any]:

@@ -46,14 +46,19 @@ class Deviation:
     """How far the step ends from where the operation ends."""
 
 
-def path_deviations(controller: Controller, run: Run) -> tuple[list[Deviation], list[Finding]]:
-    """Each step against the plan, and what is farther off than it may be."""
+def path_deviations(
+    controller: Controller, run: Run, *, wider_deg: float = 0.0
+) -> tuple[list[Deviation], list[Finding]]:
+    """Each step against the plan, and what is farther off than it may be, by `wider_deg` more."""
     found, findings = [], []
     planned = controller.planned
-    order = [e.number for e in run.said("step") if e.number]
+    told = [e.number for e in run.said("step")]
+    order = [n for n in told if n]
     if order != list(range(1, len(planned) + 1)):
         text = f"the steps run in the order {order[:20]}, the plan has 1 to {len(planned)}"
         findings.append(Finding(code="order", message=text))
+    if run.ended and told[-1:] != [0]:
+        findings.append(Finding(code="order", message="the step's number is not 0 at the end"))
     for n, o in enumerate(planned, 1):
         own = np.flatnonzero(run.step == n)
         if len(own) == 0:
@@ -64,7 +69,7 @@ def path_deviations(controller: Controller, run: Run) -> tuple[list[Deviation], 
             findings.append(_step_finding(n, o, "runs twice"))
         deviation = _compared(controller, run, n, o, rows)
         found.append(deviation)
-        findings += _judged(deviation, o)
+        findings += _judged(deviation, o, wider_deg)
     return found, findings
 
 
@@ -128,10 +133,10 @@ def _joint(controller: Controller, X_WL: np.ndarray, i: int) -> np.ndarray:
     return X_WL[:, i, :3, :3] @ np.cross(w, v) + X_WL[:, i, :3, 3]
 
 
-def _judged(d: Deviation, o: Operation) -> list[Finding]:
+def _judged(d: Deviation, o: Operation, wider: float) -> list[Finding]:
     """What of a step is farther from the plan than it may be."""
     findings = []
-    allowed = TIMED_DEG if d.timed else SCAN_DEG if o.scanning else ROUNDED_DEG
+    allowed = (TIMED_DEG if d.timed else SCAN_DEG if o.scanning else ROUNDED_DEG) + wider
     for value, what in (
         (d.away_deg, "leaves the planned path"),
         (d.missed_deg, "leaves out a part of the path"),

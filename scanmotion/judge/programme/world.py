@@ -43,6 +43,10 @@ class ScriptedScanner:
     """Recordings, counted from 1, that a fault breaks off `fault_after` seconds after they began."""
     fault_after: float = 0.3
     fault_lasts: float = 0.5
+    fault_times: tuple[float, ...] = ()
+    """Seconds into each recording at which its fault comes, instead of `fault_after`."""
+    table_fault_at: float = np.inf
+    """When a drive of the table of its own has a fault [s]."""
     patience: int = 0
     """How often somebody starts the programme again after a halt."""
     stop_at: float = np.inf
@@ -56,7 +60,10 @@ class ScriptedScanner:
     def input(self, number: int, t: float) -> bool:
         """Ready until a fault, done for a while after a recording, fault for a while."""
         s = self.signals
-        broken = self.recordings in self.faults and 0 <= t - self._began - self.fault_after < self.fault_lasts
+        after = self.fault_after
+        if self.recordings <= len(self.fault_times) and self.recordings:
+            after = self.fault_times[self.recordings - 1]
+        broken = self.recordings in self.faults and 0 <= t - self._began - after < self.fault_lasts
         if number == s.ready_in:
             return t >= self.ready_after and not broken
         if number == s.done_in:

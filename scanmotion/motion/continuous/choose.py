@@ -20,7 +20,7 @@ from scanmotion.motion.continuous.realise import Realised, Ways, blocked_at, rea
 from scanmotion.motion.continuous.search import (
     Choice,
     Nodes,
-    TableDrive,
+    TableTurning,
     Weighing,
     annealed,
     turn_masks,
@@ -87,7 +87,7 @@ class ContinuousSearch:
         self.turns = turn_masks(self.sight, self.nodes)
         limits = (float(x[_TABLE]) for x in (cell.v_max, cell.a_max, cell.j_max))
         v, a, j = limits
-        self._drive = TableDrive(
+        self._drive = TableTurning(
             speed=v, ramp=v / a + a / j, start=float(self.start_q[_TABLE]),
             low=float(cell.q_min[_TABLE]) + SPARE_RAD,
             high=float(cell.q_max[_TABLE]) - SPARE_RAD,

@@ -34,7 +34,7 @@ class Nodes:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TableDrive:
+class TableTurning:
     """What the table may do."""
 
     speed: float
@@ -102,7 +102,7 @@ def annealed(
     nodes: Nodes,
     sight: Sight,
     turns: np.ndarray,
-    drive: TableDrive,
+    drive: TableTurning,
     weighing: Weighing,
     *,
     begin: Choice | None,
@@ -156,7 +156,7 @@ def annealed(
     )  # fmt: skip
 
 
-def _table_of(drive: TableDrive) -> np.ndarray:
+def _table_of(drive: TableTurning) -> np.ndarray:
     """speed, ramp, start, room upward, room downward."""
     up = min(drive.high - drive.start, 1e3)
     down = min(drive.start - drive.low, 1e3)

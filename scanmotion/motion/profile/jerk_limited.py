@@ -1,8 +1,8 @@
 """Time scaling of one path: the fastest s(t) inside velocity, acceleration, jerk and scanner-speed limits.
 
-The fastest profile without a jerk limit (profile.py) is averaged over two windows of time, which makes its
-jerk finite; speeds and accelerations are lowered where the jerk is still too high, and a last uniform stretch
-makes every limit hold at every checked instant.
+The fastest profile without a jerk limit (speed_profile.py) is averaged over two windows of time, which makes
+its jerk finite. Speeds and accelerations are lowered where the jerk is still too high, and a last uniform
+stretch makes every limit hold at every checked instant.
 """
 
 from collections.abc import Callable

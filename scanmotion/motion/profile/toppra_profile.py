@@ -4,7 +4,7 @@ Pham and Pham 2018, doi:10.1109/TRO.2018.2819195. The scanner's speed and the ax
 that varies along the path, pooled over neighbouring grid points (`speed_caps`), since taken at the points
 alone it is passed between them. The axes' accelerations, lowered where the jerk asks for it, are asked for at
 both ends of each cell. What is compiled in speed_profile.py solves the same problem for the many ways that
-are only compared; benchmarks/timing.py says what either costs.
+are only compared; benchmarks/timing_solvers.py says what either costs.
 """
 
 import logging

@@ -282,7 +282,7 @@ def reachable_mask(
         X_OS: poses, shape (n, 4, 4).
         clearance: the collision checker of the cell.
         azimuth_step: between table angles [rad].
-        near_q: configurations that the tour passes anyhow, shape (k, 7) [rad]; None for none.
+        near_q: configurations that the tour passes in any case, shape (k, 7) [rad]; None for none.
         within_s: a configuration counts if the arm gets there in this time from one of `near_q`: on its way
             to another winding or branch the scanner may travel metres [s].
     """

@@ -2,7 +2,7 @@
 
 The scanner's speed in W is the arm's alone and the table has an axis of its own, so the two are timed apart:
 the table turns by Ruckig's law from rest to rest, and in its even middle the arm follows each way from place
-to place by the law of scale.py at the scanning speed.
+to place by the law of jerk_limited.py at the scanning speed.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from scanmotion.core.trajectory import OperationKind
 from scanmotion.motion.profile.jerk_limited import RuckigLaw, TimeLaw, ruckig_law
 from scanmotion.motion.profile.speed_profile import MARGIN
 from scanmotion.motion.profile.spline import JointSpline
+from scanmotion.motion.timing.ways import Way, driven_ways
 from scanmotion.motion.transit.drive import limits_of, positions, transit_law
 
 TURN = 2 * np.pi
@@ -37,7 +38,7 @@ class HelixMotion:
     """First and last configuration, shape (7,) [rad]."""
     table: RuckigLaw
     """The table's angle, counted from the start [rad]."""
-    ways: tuple[tuple[JointSpline, TimeLaw], ...]
+    ways: tuple[Way, ...]
     leaves: tuple[float, ...]
     """When the arm sets out on each way [s]."""
     duration: float
@@ -48,14 +49,7 @@ class HelixMotion:
 
     def __call__(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions, velocities and accelerations, each (n, 7), at times t; at rest after `duration`."""
-        q = np.tile(self.ends[0], (len(t), 1))
-        qd, qdd = np.zeros_like(q), np.zeros_like(q)
-        for (path, law), leave in zip(self.ways, self.leaves, strict=True):
-            on = np.flatnonzero(t >= leave)
-            s, s1, s2 = law(np.minimum(t[on] - leave, law.duration)).T[:3, :, None]
-            q1 = path(s[:, 0], 1)
-            q[on], qd[on] = path(s[:, 0]), q1 * s1
-            qdd[on] = path(s[:, 0], 2) * s1**2 + q1 * s2
+        q, qd, qdd = driven_ways(self.ends[0], self.ways, self.leaves, t)
         sense = np.sign(self.ends[1][_TABLE] - self.ends[0][_TABLE])
         angle, speed, gain = self.table(np.minimum(t, self.duration)).T[:3]
         q[:, _TABLE] = self.ends[0][_TABLE] + sense * angle

@@ -15,9 +15,9 @@ from scanmotion.cell.build import Cell
 from scanmotion.core.errors import TimingError
 from scanmotion.core.tour import Stop
 from scanmotion.core.trajectory import OperationKind
-from scanmotion.motion.profile.jerk_limited import RuckigLaw, TimeLaw
-from scanmotion.motion.profile.spline import JointSpline
+from scanmotion.motion.profile.jerk_limited import RuckigLaw
 from scanmotion.motion.timing.helix import table_law, way_law
+from scanmotion.motion.timing.ways import Way, driven_ways
 from scanmotion.motion.transit.drive import limits_of
 from scanmotion.motion.transit_cost import jerk_limited_seconds
 
@@ -35,7 +35,7 @@ class PathMotion:
     viewpoints: tuple[str, ...]
     ends: tuple[np.ndarray, np.ndarray]
     """First and last configuration, shape (7,) [rad]."""
-    ways: tuple[tuple[JointSpline, TimeLaw], ...]
+    ways: tuple[Way, ...]
     """The arm's."""
     leaves: tuple[float, ...]
     """When the arm sets out on each way [s]."""
@@ -49,14 +49,7 @@ class PathMotion:
 
     def __call__(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions, velocities and accelerations, each (n, 7), at times t; at rest after `duration`."""
-        q = np.tile(self.ends[0], (len(t), 1))
-        qd, qdd = np.zeros_like(q), np.zeros_like(q)
-        for (path, law), leave in zip(self.ways, self.leaves, strict=True):
-            on = np.flatnonzero(t >= leave)
-            s, s1, s2 = law(np.minimum(t[on] - leave, law.duration)).T[:3, :, None]
-            q1 = path(s[:, 0], 1)
-            q[on], qd[on] = path(s[:, 0]), q1 * s1
-            qdd[on] = path(s[:, 0], 2) * s1**2 + q1 * s2
+        q, qd, qdd = driven_ways(self.ends[0], self.ways, self.leaves, t)
         angle = np.full(len(t), self.ends[0][_TABLE])
         speed, gain = np.zeros(len(t)), np.zeros(len(t))
         begin = 0.0

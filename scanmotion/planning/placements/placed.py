@@ -1,4 +1,4 @@
-"""A placement while it is planned, and the leaving out of what a later one shows anyhow.
+"""A placement while it is planned, and the leaving out of what a later one shows as well.
 
 Guarantees: `without_needless` returns what it was given, or programmes that together see as much for their
 seconds: share of the surface less seconds at the method's rate, as pruning weighs everywhere.

@@ -2,7 +2,7 @@
 
 Guarantees: each placement is an ordinary plan of the part as it rests there, and knows what the placements
 before it have seen; completeness is counted on one set of surface samples; what a later placement shows
-anyhow is left out of the first. Assumes that the part is a mesh and that each placement is found by
+as well is left out of the first. Assumes that the part is a mesh and that each placement is found by
 registration; the operator's handling is not in the seconds.
 """
 

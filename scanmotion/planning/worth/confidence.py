@@ -1,11 +1,10 @@
-"""How sure predicted coverage and accuracy are: draws of what is not known, over visibility that is asked
-only once.
+"""How sure predicted coverage and accuracy are: what is not known is drawn; visibility is asked only once.
 
-Guarantees: every draw is one whole scan with one set of constant errors; a sample counts as seen where an
-    exact test of
-the drawn poses says so, unless so many frames see it that no draw of this size loses it. Assumes: the
-unknowns are independent and normal with the deviations that the cell's section `uncertainty` states; nothing
-is calibrated or registered away; accuracy follows from the frames' displacements along the normal, linearly.
+Guarantees: every draw is one whole scan with one set of constant errors. A sample counts as seen where an
+exact test of the drawn poses says so, unless so many frames see it that no draw of this size loses it.
+Assumes: the unknowns are independent and normal, with the deviations that the cell's section `uncertainty`
+states; nothing is calibrated or registered away; accuracy follows from the frames' displacements along the
+normal, linearly.
 """
 
 from collections.abc import Callable

@@ -135,7 +135,7 @@ def errors_from(theta: np.ndarray) -> ScanErrors:
 
 
 def thinned_frames(scan: Scan, every: int) -> Scan:
-    """Every so-manieth point of the scan."""
+    """Every n-th point of the scan, `every` being n."""
     s = slice(None, None, every)
     return replace(
         scan, points_O=scan.points_O[s], frame=scan.frame[s], depth=scan.depth[s], pixel=scan.pixel[s]

@@ -1,9 +1,8 @@
-"""Which few turns determine the constant errors best: chosen by information, checked by calibrating a
-simulation.
+"""Which few turns determine the constant errors best: chosen by information, checked by a simulation.
 
 Guarantees: the deviations that are stated are those of `calibrate` on simulated frames of the chosen turns.
-    Assumes: an
-object about as large and as rich in shape as the one that is given; on a plain one less is determined.
+Assumes: an object about as large and as rich in shape as the one that is given; on a plain one less is
+determined.
 """
 
 from collections.abc import Sequence
@@ -95,7 +94,7 @@ def best_turns(
         acceleration: of the table [rad/s2].
         fps: frames a second.
         errors: noise of the scanner and arm; None for the stated one.
-        stride: every so-manieth pixel is simulated.
+        stride: every n-th pixel is simulated.
         seed: of the noise.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Compiled loops of the fusion: points into voxels, and the local surface fitted through each voxel."""
+"""Compiled loops of the fusion: points into voxels, and the means over each voxel."""
 
 import numpy as np
 

@@ -163,11 +163,11 @@ def even_samples(
     weight = np.stack([1.0 - a, a * (1.0 - b), a * b], axis=1)
     points = np.einsum("ij,ijk->ik", weight, corner[pick])
     unit = normal[pick] / twice[pick, None]
-    kept = thinned(points, unit, spacing)
+    kept = thinned_samples(points, unit, spacing)
     return points[kept], unit[kept]
 
 
-def thinned(points: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:
+def thinned_samples(points: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:
     """Indices of points kept in order, none closer than `spacing` to one before it on the same side."""
     pairs = cKDTree(points).query_pairs(spacing, output_type="ndarray")
     pairs = pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > 0.0]

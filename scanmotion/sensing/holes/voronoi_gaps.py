@@ -144,7 +144,7 @@ def _cells(points, normals, index, rows, unit, cap):
 
 @njit(cache=True, parallel=True)
 def _discs(points, normals, index, rows, unit, cap, least):
-    """Far corners of the cells: the two points that share each (-1 for none), how many, whereto."""
+    """Far corners of the cells: the two points that share each (-1 for none), how many, and which way."""
     shared = np.full((len(index), _FAR, 2), -1)
     count = np.zeros(len(index), np.int64)
     toward = np.zeros((len(index), 3))

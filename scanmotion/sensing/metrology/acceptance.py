@@ -76,7 +76,7 @@ def acceptance(
         scanner: of the cell.
         table: its motion.
         errors: of the cell's twin.
-        stride: every so-manieth pixel.
+        stride: every n-th pixel.
         seed: of the noise.
         progress: told the share done.
     """

@@ -1,11 +1,9 @@
-"""A measured cloud brought onto its reference mesh: point to exact surface, robust, from a known or unknown
-start.
+"""A measured cloud brought onto its reference mesh: point to exact surface, robust, whatever the start.
 
-Guarantees: the distances that are made small are those to the triangles themselves, not to samples of them;
-    motions
-that the shape leaves free (a sphere's turns, a plane's slides) are not made, and are said. Assumes: the cloud
-is a rigid copy of at least a part of the mesh. A start is looked for only among the box's and the principal
-axes.
+Guarantees: the distances that are made small are those to the triangles themselves, not to samples of them.
+Motions that the shape leaves free (a sphere's turns, a plane's slides) are not made, and are said. Assumes:
+the cloud is a rigid copy of at least a part of the mesh. A start is looked for only among the box's and the
+principal axes.
 """
 
 from dataclasses import dataclass

@@ -1,10 +1,8 @@
-"""How far a measured cloud lies from its reference, and how much of the reference it covers; in all, and by
-region.
+"""How far a measured cloud lies from its reference, and how much of it it covers; in all, and by region.
 
 Guarantees: every point that is not cut off counts once, at its exact distance from the nearest triangle.
-    Assumes: the
-cloud is in the reference's frame. Accuracy and standard deviation are the paper's: mean of the absolute,
-standard deviation of the signed distance (Zhang et al., doi 10.3390/act14030139).
+Assumes: the cloud is in the reference's frame. Accuracy and standard deviation are the paper's: mean of the
+absolute, standard deviation of the signed distance (Zhang et al., doi 10.3390/act14030139).
 """
 
 from collections.abc import Mapping

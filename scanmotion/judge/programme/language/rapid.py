@@ -14,7 +14,7 @@ from scanmotion.judge.programme.language.krl import krl_lines
 
 _NAME = r"[A-Za-z]\w*"
 _FIXED: dict[str, type[st.Statement]] = {
-    "RETURN": st.Return, "STOP": st.Halt, "CLEARPATH": st.Nothing, "STARTMOVE": st.Nothing,
+    "RETURN": st.Return, "STOP": st.Halt,
     "PROCERRRECOVERY\\SYNCLASTMOVEINST": st.Raise,
 }  # fmt: skip
 
@@ -94,6 +94,10 @@ class _Module:
         body, closed = self._body("ERROR", end)
         handler: tuple[st.Statement, ...] = ()
         if closed == "ERROR":
+            for wanted in ("ClearPath;", "StartMove;"):
+                line, where = self.next()
+                if line != wanted:
+                    raise PlanFileError(f"{where}: an error handler begins with {wanted}, not {line[:60]!r}")
             handler, _ = self._body(end)
         return st.Routine(
             name=name, parameters=names, local=frozenset(names), body=body, handler=handler
