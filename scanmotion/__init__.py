@@ -8,11 +8,13 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from scanmotion.core.support.later import defer_functions
+from scanmotion.core.support.threads import follow_openmp
 
 __version__ = "0.1.0"
 
 # In a notebook Open3D would open its WebRTC window system, and say so.
 os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
+follow_openmp()
 # Of Open3D one module imports dash, and with it a second of other libraries.
 defer_functions("open3d.visualization.draw_plotly", ("get_plotly_fig", "draw_plotly", "draw_plotly_server"))
 

@@ -10,6 +10,15 @@ from hypothesis import settings
 settings.register_profile("scanmotion", deadline=None, derandomize=True, print_blob=False)
 settings.load_profile("scanmotion")
 
+
+def pytest_sessionstart(session):
+    """Kernels are compiled once, before several processes would all compile the same ones."""
+    if not hasattr(session.config, "workerinput"):
+        from scanmotion.geometry.compiled import compile_kernels
+
+        compile_kernels()
+
+
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 

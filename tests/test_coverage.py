@@ -236,11 +236,15 @@ def test_many_points_are_taken_in_pieces(lumpy, monkeypatch):
     assert (sees(scene, SCANNER, X, points, normals) == whole).all()
 
 
-def test_threads_say_what_one_says(lumpy):
+def test_threads_say_what_one_says(lumpy, monkeypatch):
     _, X, points, normals = lumpy
-    field = np.array([np.tan(SCANNER.fov[0] / 2), np.tan(SCANNER.fov[1] / 2), *SCANNER.range])
-    given = (X, points, normals, field, np.cos(SCANNER.max_incidence), SCANNER.baseline)
-    assert (coverage._in_views(*given) == coverage._in_views_here(*given)).all()
+    points, normals = np.tile(points, (200, 1)), np.tile(normals, (200, 1))
+    assert len(X) * len(points) > 500_000
+    said = []
+    for count in (1, 2, 4):
+        monkeypatch.setenv("OMP_NUM_THREADS", str(count))
+        said.append(in_view(SCANNER, X, points, normals))
+    assert said[0].any() and (said[0] == said[1]).all() and (said[0] == said[2]).all()
 
 
 def test_poses_of_a_turn_keep_height_radius_and_inclination():

@@ -11,7 +11,7 @@ from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cli import app
 from scanmotion.core.summary import NOT_WORTH
 from scanmotion.geometry.parts.make_part import box_part
-from scanmotion.planning.explain import explained, stage_of
+from scanmotion.planning.explain import explained, losing_stage
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.pipeline import plan
 from scanmotion.report.used import used_packages
@@ -31,7 +31,7 @@ from scanmotion.report.used import used_packages
     ],
 )
 def test_reasons_belong_to_their_stage(reason, stage):
-    assert stage_of(reason) == stage
+    assert losing_stage(reason) == stage
 
 
 def test_every_viewpoint_is_counted_once():

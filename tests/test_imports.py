@@ -218,25 +218,3 @@ def test_planning_assigns_no_attribute(path):
         if isinstance(node, ast.ClassDef) and "Protocol" not in {ast.unparse(b) for b in node.bases}:
             frozen = [d for d in node.decorator_list if "frozen=True" in ast.unparse(d)]
             assert frozen, f"class {node.name} is not a frozen dataclass"
-
-
-def test_loops_on_threads_take_them_from_one_place():
-    for path in FILES:
-        if "parallel=True" in path.read_text():
-            assert "scanmotion.geometry.jit" in imported(path), path.name
-    code = (
-        "import warnings; warnings.simplefilter('error')\n"
-        "import numpy as np, numba\n"
-        "from scanmotion.geometry.jit import njit, prange\n"
-        "@njit(parallel=True)\n"
-        "def doubled(x):\n"
-        "    for i in prange(len(x)):\n"
-        "        x[i] *= 2\n"
-        "x = np.ones(1000)\n"
-        "doubled(x)\n"
-        "print(x.sum(), numba.threading_layer())\n"
-    )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    total, layer = out.stdout.split()
-    assert float(total) == 2000.0 and layer in ("omp", "tbb")
-    assert out.stderr == ""

@@ -61,3 +61,25 @@ heavy = set(sys.modules) & {{"numpy", "scipy", "numba", "open3d", "pydrake", "ma
 print(heavy)
 """
     assert run(code).endswith("set()")
+
+
+def test_help_parses_neither_markdown_nor_python_and_both_work_when_asked():
+    code = """
+import io, sys
+import scanmotion.cli
+import typer.rich_utils
+early = {"markdown_it", "pygments"} & set(sys.modules)
+from rich.console import Console
+out = Console(file=io.StringIO(), width=60)
+out.print(typer.rich_utils.Markdown("**word**"))
+try:
+    1 / 0
+except ZeroDivisionError:
+    out.print_exception()
+import rich.markdown, rich.traceback
+made = typer.rich_utils.Markdown("word")
+told = out.file.getvalue()
+print(early, isinstance(made, rich.markdown.Markdown), rich.traceback.__file__ is not None)
+print("word" in told, "**" in told, "ZeroDivisionError" in told)
+"""
+    assert run(code).split() == ["set()", "True", "True", "True", "False", "True"]

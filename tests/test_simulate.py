@@ -15,10 +15,10 @@ from scanmotion.core.viewpoint import look_at
 from scanmotion.geometry.parts.make_part import surface_samples
 from scanmotion.sensing.simulator.captures import motion, true_poses, turned
 from scanmotion.sensing.simulator.kernels import frame_rays, hull_rows, surely_lit
+from scanmotion.sensing.simulator.range_frames import _spans
 from scanmotion.sensing.simulator.simulate import (
     Captures,
     ScanErrors,
-    _spans,
     captures_from_trajectory,
     simulate,
     still_captures,

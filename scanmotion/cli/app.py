@@ -13,9 +13,14 @@ import typer
 from typer.core import TyperGroup
 
 from scanmotion.core.errors import ScanMotionError
+from scanmotion.core.support.later import defer_classes
 
 OK, CHECK_FAILED, BAD_INPUT, FAULT, INTERRUPTED = 0, 1, 2, 3, 130
 """Exit statuses: passes; a plan was made but a check failed; bad input; a fault of ours; Ctrl-C."""
+
+# Help is drawn by rich; typer imports its Markdown and its tracebacks with it, and with them two parsers.
+defer_classes("rich.markdown", ("Markdown",))
+defer_classes("rich.traceback", ("Traceback",))
 
 Progress = Callable[[str, float], None]
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from scanmotion.core.errors import InputError
+from scanmotion.core.support.threads import allow_threads
 from scanmotion.core.support.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -14,6 +15,14 @@ if TYPE_CHECKING:
     from scanmotion.core.part import Part
 
 PART, CELL, OUT = "What is scanned", "The cell", "Output"
+
+
+def _threads(count: int | None) -> int | None:
+    """Sets the number before any library that reads it is loaded."""
+    if count is not None:
+        allow_threads(count)
+    return count
+
 
 PartFile = Annotated[
     Path | None,
@@ -70,6 +79,17 @@ CellFile = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Errors only.", rich_help_panel=OUT)]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.", rich_help_panel=OUT)]
+Threads = Annotated[
+    int | None,
+    typer.Option(
+        "--threads",
+        callback=_threads,
+        expose_value=True,
+        is_eager=True,
+        help="Threads at most; by default OMP_NUM_THREADS, or all cores. The result does not depend on it.",
+        rich_help_panel=OUT,
+    ),
+]
 Mode = Annotated[str, typer.Option("--mode", help="default, or paper: the published formulas literally.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Same seed, same plan.")]
 

@@ -5,8 +5,8 @@ URDF.
 """
 
 import numpy as np
-from numba import njit
 
+from scanmotion.geometry.jit import njit
 from scanmotion.geometry.se3 import rotations
 
 
@@ -55,17 +55,14 @@ def link_frames(q, chain, out):
     for r in range(3):
         for c in range(4):
             out[0, r, c] = X_WB[r, c]
+    R = np.empty((3, 3))
     for i in range(6):
         x, y, z = axes[i, 0], axes[i, 1], axes[i, 2]
         s, c = np.sin(q[i]), np.cos(q[i])
         v = 1.0 - c
-        R = np.array(
-            [
-                [c + x * x * v, x * y * v - z * s, x * z * v + y * s],
-                [y * x * v + z * s, c + y * y * v, y * z * v - x * s],
-                [z * x * v - y * s, z * y * v + x * s, c + z * z * v],
-            ]
-        )
+        R[0, 0], R[0, 1], R[0, 2] = c + x * x * v, x * y * v - z * s, x * z * v + y * s
+        R[1, 0], R[1, 1], R[1, 2] = y * x * v + z * s, c + y * y * v, y * z * v - x * s
+        R[2, 0], R[2, 1], R[2, 2] = z * x * v - y * s, z * y * v + x * s, c + z * z * v
         for r in range(3):
             p = out[i, r, 3]
             for k in range(3):

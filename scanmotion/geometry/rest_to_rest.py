@@ -7,7 +7,8 @@ in any unit, metres or radians, if velocity, acceleration and jerk are in the sa
 """
 
 import numpy as np
-from numba import njit
+
+from scanmotion.geometry.jit import njit
 
 
 def jerk_limited_seconds(length: np.ndarray | float, v: float, a: float, j: float) -> np.ndarray:

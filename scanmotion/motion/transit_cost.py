@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from scanmotion.core.tour import Stop
+from scanmotion.geometry.jit import copy_into, njit
 from scanmotion.geometry.rest_to_rest import jerk_limited_seconds as jerk_limited_seconds
 from scanmotion.geometry.rest_to_rest import trapezoid_second
 
@@ -120,6 +120,7 @@ def placed_nodes(model: MoveModel, q: np.ndarray | PlacedNodes) -> PlacedNodes:
     if isinstance(q, PlacedNodes):
         return q
     q = np.ascontiguousarray(np.atleast_2d(q), dtype=float)
+    q = q if q.flags.writeable else q.copy()  # a read-only one would have the kernels compiled anew
     p, change = _tangents(model.axes, model.points, model.p_WS, q)
     return PlacedNodes(q, p, change, _branches(model.axes, model.points, model.p_WC, q))
 
@@ -165,8 +166,9 @@ def move_matrix(model: MoveModel, qa: np.ndarray | PlacedNodes, qb: np.ndarray |
 def _times(model: MoveModel, paired: bool, a: PlacedNodes, b: PlacedNodes) -> np.ndarray:
     m = model
     return _transits(
-        m.v, m.a, m.j, m.transit_speed, paired, a.q, a.p, a.change, a.branch, b.q, b.p, b.change, b.branch
-    )
+        m.v, m.a, float((m.a / m.j).max()), 1.0 / m.v, 1.0 / m.a, 1.0 / m.transit_speed, paired,
+        a.q, a.p, a.change, a.branch, b.q, b.p, b.change, b.branch,
+    )  # fmt: skip
 
 
 def revolution_seconds(model: MoveModel) -> float:
@@ -203,24 +205,36 @@ def path_seconds(model: MoveModel, path: np.ndarray) -> float:
     return float(jerk_limited_seconds(length, speed, a, j))
 
 
+@njit(cache=True)
+def _cross(x, y, z, w):
+    return y * w[2] - z * w[1], z * w[0] - x * w[2], x * w[1] - y * w[0]
+
+
 @njit(cache=True, nogil=True)
 def _branches(axes, points, p, q):
     """Signs of the elbow and of the wrist centre's side of A1, as bits."""
     out = np.empty(len(q), dtype=np.int64)
-    ahead = np.cross(axes[0], axes[1])
+    ahead = _cross(axes[0, 0], axes[0, 1], axes[0, 2], axes[1])
+    c, arm = np.empty(3), np.empty(3)
     for n in range(len(q)):
-        c = np.empty(3)
-        c[:] = p
+        copy_into(c, p)
         bits = 0
         for i in (2, 1):
             w, r = axes[i], points[i]
             c[0], c[1], c[2] = _turned(
                 w, np.cos(q[n, i]), np.sin(q[n, i]), c[0] - r[0], c[1] - r[1], c[2] - r[2]
             )
-            c += r
-            if i == 2 and np.dot(np.cross(points[2] - points[1], c - points[2]), axes[1]) > 0.0:
-                bits |= 1
-        if np.dot(c - points[0], ahead) > 0.0:
+            for m in range(3):
+                c[m] += r[m]
+            if i == 2:
+                a, b = points[1], points[2]
+                for m in range(3):
+                    arm[m] = c[m] - b[m]
+                x, y, z = _cross(b[0] - a[0], b[1] - a[1], b[2] - a[2], arm)
+                if x * axes[1, 0] + y * axes[1, 1] + z * axes[1, 2] > 0.0:
+                    bits |= 1
+        a = points[0]
+        if (c[0] - a[0]) * ahead[0] + (c[1] - a[1]) * ahead[1] + (c[2] - a[2]) * ahead[2] > 0.0:
             bits |= 2
         out[n] = bits
     return out
@@ -295,11 +309,9 @@ def _joint_limits(per_v, per_a, qa, n, qb, m):
 
 
 @njit(cache=True, nogil=True)
-def _transits(v, a, j, tcp, paired, qa, pa, ca, ba, qb, pb, cb, bb):
+def _transits(v, a, soft, per_v, per_a, per_tcp, paired, qa, pa, ca, ba, qb, pb, cb, bb):
     """Times from each a to each b, shape (n, m), or where `paired` from each a to its b, shape (n, 1)."""
     out = np.empty((len(qa), 1 if paired else len(qb)))
-    soft = (a / j).max()
-    per_v, per_a, per_tcp = 1.0 / v, 1.0 / a, 1.0 / tcp
     for n in range(out.shape[0]):
         for k in range(out.shape[1]):
             m = n if paired else k

@@ -17,6 +17,7 @@ from scanmotion.core.scanner import Scanner
 from scanmotion.core.support.stopwatch import Stopwatch
 from scanmotion.core.support.streams import Streams
 from scanmotion.core.trajectory import Trajectory
+from scanmotion.geometry.compiled import compile_kernels
 from scanmotion.geometry.parts.make_part import check_fits, surface_samples
 from scanmotion.planning.evidence import Surroundings
 from scanmotion.planning.methods import Method, method_from
@@ -157,6 +158,8 @@ def context_from(part: Part, settings: CellSettings, options: PlanOptions, progr
         CellError: an obstacle stands where the table turns.
     """
     watch = Stopwatch()
+    with watch("compiling"):
+        compile_kernels(progress=progress)
     surroundings = Surroundings(table=table_of(settings), costs=view_costs(settings))
     check_fits(part, settings.turntable.diameter_m / 2, settings.process.max_height_m)
     if options.source == "mesh" and not part.is_mesh:

@@ -46,7 +46,7 @@ def explained(plan: Plan) -> tuple[Stage, ...]:
     reasons = dict(plan.left_out)
     by_stage: dict[str, list[tuple[str, str]]] = {}
     for name, reason in reasons.items():
-        by_stage.setdefault(stage_of(reason), []).append((name, reason))
+        by_stage.setdefault(losing_stage(reason), []).append((name, reason))
     out: list[Stage] = []
     count = len(known)
     for name in (_CANDIDATES, *(stage for stage, _ in _STAGES)):
@@ -61,7 +61,7 @@ def explained(plan: Plan) -> tuple[Stage, ...]:
     return tuple(out)
 
 
-def stage_of(reason: str) -> str:
+def losing_stage(reason: str) -> str:
     """The stage that gave a reason; what no stage gives is of the candidates' choice."""
     for stage, beginnings in _STAGES:
         if reason.startswith(beginnings):

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from scanmotion import __version__
 from scanmotion.core.part import Part
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.report.figures.maps import SIDES, new_figure
 from scanmotion.report.figures.surface import picture_of, shaded, view_of
 from scanmotion.report.html import image, page, table
@@ -162,7 +163,7 @@ def map_figure(a: Assessment) -> "Figure":
     axes = figure.subplots(1, len(views), squeeze=False, width_ratios=[v.shape[1] for v in views])[0]
     for ax, view, (side, *_) in zip(axes, views, SIDES, strict=True):
         picture = picture_of(a.reference, view)
-        far, k = tree.query(picture.points, distance_upper_bound=0.003, workers=1)
+        far, k = tree.query(picture.points, distance_upper_bound=0.003, workers=allowed_threads())
         hit = np.isfinite(far)
         colours = np.tile(_NOT_MEASURED, (len(picture.points), 1))
         colours[hit] = _colours(a.found.distance[k[hit]], a.limit)

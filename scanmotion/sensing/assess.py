@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part, SurfaceSamples
+from scanmotion.core.support.threads import allowed_threads
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +72,7 @@ def raycaster(part: Part) -> Any:
     """An Open3D RaycastingScene of the mesh."""
     import open3d as o3d
 
-    scene = o3d.t.geometry.RaycastingScene()
+    scene = o3d.t.geometry.RaycastingScene(nthreads=allowed_threads())
     scene.add_triangles(
         o3d.core.Tensor.from_numpy(part.vertices.astype(np.float32)),
         o3d.core.Tensor.from_numpy(part.triangles.astype(np.uint32)),
@@ -83,8 +84,8 @@ def distances_to(scene: Any, points: np.ndarray, *, closed: bool) -> np.ndarray:
     """As signed_distances, for a prepared RaycastingScene."""
     at = np.ascontiguousarray(points, np.float32)
     if closed:
-        return scene.compute_signed_distance(at, nsamples=3).numpy().astype(float)
-    near = scene.compute_closest_points(at)
+        return scene.compute_signed_distance(at, nsamples=3, nthreads=allowed_threads()).numpy().astype(float)
+    near = scene.compute_closest_points(at, nthreads=allowed_threads())
     offset = at - near["points"].numpy()
     side = np.einsum("ij,ij->i", offset, near["primitive_normals"].numpy())
     return np.copysign(np.linalg.norm(offset, axis=1), side).astype(float)

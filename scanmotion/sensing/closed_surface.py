@@ -15,6 +15,7 @@ from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter, map_
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import HoleError
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.jit import njit
 
 _MAX_CELLS = 220
@@ -69,7 +70,7 @@ class ClosedModel:
             values = _without_passed(self.solid, points, passed)
             if (values != self.solid.values).any():
                 return _bounded(replace(self.solid, values=values), points)
-        return replace(self, distance=cKDTree(points).query(self.centres, workers=-1)[0])
+        return replace(self, distance=cKDTree(points).query(self.centres, workers=allowed_threads())[0])
 
     @property
     def area(self) -> float:
@@ -121,7 +122,7 @@ def _bounded(solid: _Solid, points: np.ndarray) -> ClosedModel:
     vertices, triangles = _pieces_with_data(vertices, triangles, points, solid.cell)
     if len(triangles) == 0:
         raise HoleError("the cloud does not bound a solid; are its normals turned outward?")
-    distance, _ = cKDTree(points).query(vertices[triangles].mean(axis=1), workers=-1)
+    distance, _ = cKDTree(points).query(vertices[triangles].mean(axis=1), workers=allowed_threads())
     return ClosedModel(
         vertices=vertices, triangles=triangles, distance=distance, cell=solid.cell, solid=solid
     )
@@ -250,7 +251,8 @@ def _mean_cuts(values, cells):
         cuts = 0
         for axis in range(3):
             for corner in range(4):
-                at[:] = cells[n]
+                for k in range(3):
+                    at[k] = cells[n, k]
                 at[(axis + 1) % 3] += corner & 1
                 at[(axis + 2) % 3] += corner >> 1
                 a = values[at[0], at[1], at[2]]
@@ -260,7 +262,8 @@ def _mean_cuts(values, cells):
                         out[n, k] += at[k]
                     out[n, axis] += a / (a - b)
                     cuts += 1
-        out[n] /= cuts
+        for k in range(3):
+            out[n, k] /= cuts
     return out
 
 

@@ -13,7 +13,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from scanmotion.core.scanner import Scanner
-from scanmotion.geometry.jit import njit, prange
+from scanmotion.core.support.threads import allowed_threads, by_pieces
+from scanmotion.geometry.jit import njit
 
 _BAND = 4
 """Space is looked at within this many cells of the measured surface."""
@@ -136,7 +137,9 @@ class Space:
     def _within(self, keys: np.ndarray, tree: cKDTree, cells: float) -> np.ndarray:
         """Which cells lie within so many cells of the tree's points, shape (n,)."""
         places = (_cells(keys) + 0.5) * self._edge
-        return tree.query(places, distance_upper_bound=cells * self._edge, workers=-1)[0] < np.inf
+        return (
+            tree.query(places, distance_upper_bound=cells * self._edge, workers=allowed_threads())[0] < np.inf
+        )
 
     def _looked_through(self, keys: np.ndarray) -> np.ndarray:
         """Which cells, ascending keys (n,), some frame has looked through; each frame is asked once."""
@@ -162,10 +165,13 @@ class Space:
             self._images = [np.concatenate(self._images)]
         if len(self._X_SO) == first or len(places) == 0:
             return np.zeros(len(places), bool)
-        return _carved(
-            places, self._X_SO[first:], self._images[0][first:],
-            np.tan(self._scanner.fov[0] / 2), np.tan(self._scanner.fov[1] / 2), self._margin,
-        )  # fmt: skip
+        # One kind of array: `places` comes in either order.
+        places, X_SO, images = np.ascontiguousarray(places), self._X_SO[first:], self._images[0][first:]
+        tx, ty = (float(np.tan(angle / 2)) for angle in self._scanner.fov)
+        pieces = by_pieces(
+            lambda a, b: _carved(places[a:b], X_SO, images, tx, ty, self._margin), len(places), least=1000
+        )
+        return np.concatenate(pieces)
 
 
 def _keys(cells: np.ndarray) -> np.ndarray:
@@ -212,12 +218,12 @@ def _gathered(keys: np.ndarray) -> np.ndarray:
     return keys[np.bincount(label)[label] >= _LEAST]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _carved(p_O, X_SO, images, tx, ty, margin):
     """Which points some frame looked past, shape (n,)."""
     n, (f, h, w) = len(p_O), images.shape
     out = np.zeros(n, np.bool_)
-    for i in prange(n):
+    for i in range(n):
         x, y, z = p_O[i, 0], p_O[i, 1], p_O[i, 2]
         for s in range(f):
             # Strided order: neighbouring frames say the same.

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.jit import njit
 from scanmotion.sensing.visibility import Scene
 
@@ -79,7 +80,7 @@ def sight_from(
         if np.isfinite(scene.table_z):
             far[down] = np.maximum(o[down, 2] - scene.table_z - 1e-3, 0.0) / -d[down, 2]
         rays = np.concatenate([o, d * np.minimum(far, _FAR_M)[:, None]], axis=1).astype(np.float32)
-        free = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=1.0).numpy()
+        free = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=1.0, nthreads=allowed_threads()).numpy()
         _set_bits(bits[own], i[free], j[free])
     field = np.array(
         [np.tan(scanner.fov[0] / 2), np.tan(scanner.fov[1] / 2), *scanner.range, least, scanner.baseline]

@@ -7,7 +7,8 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from scanmotion.core.scanner import Scanner
-from scanmotion.geometry.jit import njit, prange
+from scanmotion.core.support.threads import allowed_threads, by_pieces
+from scanmotion.geometry.jit import njit
 from scanmotion.geometry.se3 import turns_about_z
 
 _SKIN = 2e-4
@@ -55,7 +56,7 @@ def scene_from(
     """
     import open3d as o3d
 
-    raycaster = o3d.t.geometry.RaycastingScene()
+    raycaster = o3d.t.geometry.RaycastingScene(nthreads=allowed_threads())
     parts = [(np.asarray(vertices), np.asarray(triangles))]
     if table_radius is not None:
         parts.append(_disc(table_radius, table_z - 1e-4))
@@ -111,12 +112,14 @@ def free_lines(scene: Scene, origins: np.ndarray, targets: np.ndarray) -> np.nda
         o, t = origins[first : first + _CHUNK], targets[first : first + _CHUNK]
         line = t - o
         rays = np.concatenate([o, line], axis=1).astype(np.float32)
-        free = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=1.0).numpy()
+        free = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=1.0, nthreads=allowed_threads()).numpy()
         if scene.guess is not None:
             length = np.maximum(np.linalg.norm(line, axis=1, keepdims=True), GUESSED)
             start = o + GUESSED / length * line
             rays = np.concatenate([start, t - start], axis=1).astype(np.float32)
-            free &= ~scene.guess.test_occlusions(rays, tnear=0.0, tfar=1.0).numpy()
+            free &= ~scene.guess.test_occlusions(
+                rays, tnear=0.0, tfar=1.0, nthreads=allowed_threads()
+            ).numpy()
         out[first : first + _CHUNK] = free
     return out
 
@@ -128,18 +131,19 @@ def in_view(scanner: Scanner, X_OS: np.ndarray, points: np.ndarray, normals: np.
     incidence.
     """
     X_OS = np.ascontiguousarray(X_OS, dtype=float).reshape(-1, 4, 4)
-    # Threads cost more than they bring where there is little to do.
-    test = _in_views if len(X_OS) * len(points) > 500_000 and len(X_OS) > 1 else _in_views_here
-    return test(
-        X_OS,
-        np.ascontiguousarray(points, dtype=float),
-        np.ascontiguousarray(normals, dtype=float),
-        np.array(
-            [np.tan(scanner.fov[0] / 2), np.tan(scanner.fov[1] / 2), *scanner.range, _highlight(scanner)]
-        ),
-        float(np.cos(scanner.max_incidence)),
-        float(scanner.baseline),
+    points, normals = np.ascontiguousarray(points, dtype=float), np.ascontiguousarray(normals, dtype=float)
+    field = np.array(
+        [np.tan(scanner.fov[0] / 2), np.tan(scanner.fov[1] / 2), *scanner.range, _highlight(scanner)]
     )
+    least, baseline = float(np.cos(scanner.max_incidence)), float(scanner.baseline)
+    out = np.zeros((len(X_OS), len(points)), bool)
+
+    def some(first: int, last: int) -> None:
+        _in_views(X_OS[first:last], points, normals, field, least, baseline, out[first:last])
+
+    # Threads cost more than they bring where there is little to do.
+    by_pieces(some, len(X_OS), least=1 + 250_000 // max(len(points), 1))
+    return out
 
 
 def _highlight(scanner: Scanner) -> float:
@@ -147,20 +151,10 @@ def _highlight(scanner: Scanner) -> float:
     return float(np.cos(scanner.mirror)) if scanner.mirror > 0 else 2.0
 
 
-@njit(cache=True, parallel=True)
-def _in_views(X_OS, points, normals, field, least, baseline):
-    out = np.zeros((len(X_OS), len(points)), np.bool_)
-    for i in prange(len(X_OS)):
-        _in_view(X_OS[i], points, normals, field, least, baseline, out[i])
-    return out
-
-
-@njit(cache=True)
-def _in_views_here(X_OS, points, normals, field, least, baseline):
-    out = np.zeros((len(X_OS), len(points)), np.bool_)
+@njit(cache=True, nogil=True)
+def _in_views(X_OS, points, normals, field, least, baseline, out):
     for i in range(len(X_OS)):
         _in_view(X_OS[i], points, normals, field, least, baseline, out[i])
-    return out
 
 
 @njit(cache=True)
@@ -207,11 +201,11 @@ def axis_depths(scene: Scene, X_OS: np.ndarray) -> np.ndarray:
     """
     X_OS = np.asarray(X_OS, dtype=float).reshape(-1, 4, 4)
     rays = np.concatenate([X_OS[:, :3, 3], X_OS[:, :3, 2]], axis=1).astype(np.float32)
-    hits = scene.raycaster.cast_rays(rays)
+    hits = scene.raycaster.cast_rays(rays, nthreads=allowed_threads())
     depth = hits["t_hit"].numpy().astype(float)
     surface = hits["geometry_ids"].numpy() == SURFACE
     if scene.guess is not None:
-        guess = scene.guess.cast_rays(rays)["t_hit"].numpy().astype(float)
+        guess = scene.guess.cast_rays(rays, nthreads=allowed_threads())["t_hit"].numpy().astype(float)
         surface |= guess < depth
         depth = np.minimum(depth, guess)
     return np.where(surface, depth, np.inf)
@@ -374,7 +368,11 @@ def _visible_block(
     )
     start = points + _SKIN * normals
     rays = np.concatenate([np.broadcast_to(start[:, None], u.shape), u], axis=2).reshape(-1, 6)
-    hit = scene.raycaster.cast_rays(rays.astype(np.float32))["t_hit"].numpy().reshape(u.shape[:2])
+    hit = (
+        scene.raycaster.cast_rays(rays.astype(np.float32), nthreads=allowed_threads())["t_hit"]
+        .numpy()
+        .reshape(u.shape[:2])
+    )
     found = np.zeros(len(points), bool)
     near, far = scanner.range
     for distance in (near + 1e-3, (near + far) / 2, far - 1e-3):

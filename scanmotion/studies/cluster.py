@@ -156,7 +156,6 @@ def run_on_worker(case: Case, keep_in: str | None) -> CaseRow:
     """What a worker runs: the case, on the part that it holds."""
     from distributed import get_worker
 
-    _threads_of_worker()
     path = Path(get_worker().local_directory) / "scanmotion-parts" / f"{case.part_hash}.npz"
     return row_of(case, _part_in(path), keep_in=None if keep_in is None else Path(keep_in))
 
@@ -171,12 +170,3 @@ def _part_in(path: Path) -> Part:
             triangles=file["triangles"],
             closed=bool(file["closed"]),
         )
-
-
-def _threads_of_worker() -> None:
-    """Compiled loops follow the worker's share of the cores too."""
-    import numba
-
-    asked = os.environ.get("OMP_NUM_THREADS", "")
-    if asked.isdigit() and int(asked) > 0:
-        numba.set_num_threads(min(int(asked), numba.config.NUMBA_NUM_THREADS))

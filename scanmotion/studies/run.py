@@ -12,6 +12,7 @@ from typing import Any
 
 from scanmotion import __version__
 from scanmotion.core.errors import ScanMotionError
+from scanmotion.geometry.compiled import compile_kernels
 from scanmotion.studies import table
 from scanmotion.studies.case import FIGURES, CaseRow
 from scanmotion.studies.cluster import KILLS, client_of, memory_resource, run_on_worker, send_parts
@@ -72,6 +73,7 @@ def study(
         done = table.finished(connection)
         todo = [case for case in made.cases if case.id not in done]
         if todo:
+            compile_kernels(progress=tell)  # once, not by every worker
             _run(made, todo, options, connection, tell)
         ids = {case.id for case in made.cases}
         rows = [r for r in table.records(connection) if r["id"] in ids]

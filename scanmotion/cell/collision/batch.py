@@ -1,7 +1,6 @@
 """Verdicts on many configurations at once, in numba: the first free ones, and those blocked beyond doubt."""
 
 import numpy as np
-from numba import njit
 
 from scanmotion.cell.arm.robot import Body
 from scanmotion.cell.collision.shapes import inside_shape
@@ -15,6 +14,7 @@ from scanmotion.cell.collision.sphere_filter import (
 )
 from scanmotion.cell.model import TOOL, Cell
 from scanmotion.geometry.chain import link_frames
+from scanmotion.geometry.jit import njit
 
 
 def sure_points(cell: Cell, spheres: tuple) -> np.ndarray:
@@ -117,7 +117,12 @@ def first_free(q, starts, geometry, most, chain, spheres, boxes, world, grid):
         most: free rows wanted of each owner; later rows are left False.
     """
     free = np.zeros(len(q), np.bool_)
-    known = np.full(geometry.max() + 1 if len(geometry) else 1, -1, np.int8)
+    size = 1
+    for i in range(len(geometry)):
+        size = max(size, geometry[i] + 1)
+    known = np.empty(size, np.int8)
+    for k in range(size):
+        known[k] = -1
     for n in range(len(starts) - 1):
         count = 0
         for i in range(starts[n], starts[n + 1]):

@@ -1,8 +1,8 @@
 """Distances and collision checks of configurations and edges, in two tiers.
 
 Fast tier: sphere_filter.py, conservative. Exact tier: Drake's checker for arm, tool, table and surroundings,
-and FCL on the part's true triangles. What the fast tier calls free is free. What it refuses may be free in
-truth.
+and FCL on the part's true triangles, or on a light copy of a heavy mesh, whose deviation is taken off. What
+the fast tier calls free is free. What it refuses may be free in truth.
 """
 
 from functools import cached_property
@@ -17,6 +17,7 @@ from scanmotion.cell.collision.shapes import box_of, fcl_object
 from scanmotion.cell.collision.sphere_filter import edge_free, edges_free, filter_from, margins
 from scanmotion.cell.kinematics import link_poses, object_poses
 from scanmotion.cell.model import TOOL, Cell
+from scanmotion.geometry.parts.working_copy import working_copy
 from scanmotion.geometry.se3 import inverse_poses
 
 PAD_M = 0.004
@@ -197,15 +198,19 @@ class Clearance:
 
     @cached_property
     def _part(self) -> Any:
-        """The part's triangles as an FCL object, and the robot's bodies; None without a part."""
+        """The part's triangles, or those of its light copy, as an FCL object, and the robot's bodies.
+
+        None without a part. What the copy is off is taken from the distances to it.
+        """
         part = self.cell.part
         if part is None or not part.is_mesh:
             return None
         import fcl
 
+        light = working_copy(part).part
         model = fcl.BVHModel()
-        model.beginModel(len(part.vertices), len(part.triangles))
-        model.addSubModel(np.ascontiguousarray(part.vertices), np.ascontiguousarray(part.triangles))
+        model.beginModel(len(light.vertices), len(light.triangles))
+        model.addSubModel(np.ascontiguousarray(light.vertices), np.ascontiguousarray(light.triangles))
         model.endModel()
         bodies = [b for b in self.cell.bodies if 1 <= b.link <= TOOL]
         shapes = [_near_shape(b) for b in bodies]
@@ -226,7 +231,9 @@ class Clearance:
         return (np.linalg.norm(p - centre[:, None], axis=2) - radii < radius + enough).any(axis=1)
 
     def _part_distance(self, q: np.ndarray, enough: float = np.inf) -> tuple[float, str]:
-        """Exact distance between robot and part, and the robot's body; -0.001 where they touch.
+        """Distance between robot and part, and the robot's body; -0.001 where they touch.
+
+        It is exact, or for a heavy mesh less than that by no more than twice what its copy is off.
 
         Bodies that are further away than `enough` by their enclosing balls are left out.
         """
@@ -241,6 +248,7 @@ class Clearance:
         centre = X_WO[:3, :3] @ middle + X_WO[:3, 3]
         apart = np.linalg.norm(poses[:, :3, 3] - centre, axis=1) - radius - radii
         best, name = 1e3, ""
+        off = 0.0 if self.cell.part is None else working_copy(self.cell.part).deviation
         for k in np.argsort(apart, kind="stable"):
             if apart[k] > min(best, enough, 1.0):
                 break
@@ -252,7 +260,7 @@ class Clearance:
             d = fcl.distance(obj, shape, fcl.DistanceRequest(), result)
             if d < best:
                 best, name = d, body.name
-        return best, name
+        return best - off, name
 
 
 def _near_shape(body: Body) -> Any:
@@ -265,4 +273,6 @@ def _near_shape(body: Body) -> Any:
 
 
 def _rows(q: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(np.atleast_2d(np.asarray(q, dtype=float)))
+    """Rows (n, 7), contiguous and writable: kernels are compiled anew for any other kind."""
+    rows = np.ascontiguousarray(np.atleast_2d(np.asarray(q, dtype=float)))
+    return rows if rows.flags.writeable else rows.copy()

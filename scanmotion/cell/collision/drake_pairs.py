@@ -48,7 +48,7 @@ def not_held(cell: Cell, drake: DrakeCell) -> tuple[NotHeld, ...]:
     return (*_joined(drake), *_meeting(cell, drake), *_around(drake))
 
 
-def guided(cell: Cell, drake: DrakeCell) -> list[frozenset[str]]:
+def guided_carriers(cell: Cell, drake: DrakeCell) -> list[frozenset[str]]:
     """Pairs of the robot's bodies, by their names, with one or two moving joints between them."""
     plant = drake.plant
     moved = [

@@ -23,7 +23,7 @@ from pydrake.common import Parallelism
 from pydrake.geometry import Box, Cylinder, GeometryId, SceneGraphInspector, Sphere
 from pydrake.multibody.tree import BodyIndex
 
-from scanmotion.cell.collision.drake_pairs import GUIDED_M, NotHeld, guided, not_held
+from scanmotion.cell.collision.drake_pairs import GUIDED_M, NotHeld, guided_carriers, not_held
 from scanmotion.cell.drake_scene import DrakeCell
 from scanmotion.cell.kinematics import flange_poses, link_poses, object_poses
 from scanmotion.cell.model import Cell
@@ -78,7 +78,7 @@ class DrakeJudge:
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
         self._drake = DrakeCell(cell, hull=True, own_pairs=True)
-        self._guided = guided(cell, self._drake)
+        self._guided = guided_carriers(cell, self._drake)
         self.not_held = not_held(cell, self._drake)
         self._drake.leave_out([ids for pair in self.not_held for ids in pair.ids])
         process = cell.settings.process

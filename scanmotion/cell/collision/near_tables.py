@@ -13,13 +13,13 @@ from weakref import WeakKeyDictionary
 
 import fcl
 import numpy as np
-from numba import njit
 from scipy.ndimage import distance_transform_edt
 
 from scanmotion.cell.arm.robot import Body, Robot
 from scanmotion.cell.collision.pairs import poses_between, solid_key
 from scanmotion.cell.collision.shapes import box_of, fcl_object
 from scanmotion.cell.model import TOOL, Cell
+from scanmotion.geometry.jit import njit
 
 CELLS = 256
 """Cells to a turn of a joint at the finest."""

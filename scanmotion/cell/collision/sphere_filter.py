@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from scanmotion.cell.arm.robot import Body
 from scanmotion.cell.collision.near_tables import near_tables, way_to_blocked
@@ -17,7 +16,9 @@ from scanmotion.cell.collision.pairs import GUIDED_M, guided, ignored, on_floor
 from scanmotion.cell.collision.shapes import beyond, box_of
 from scanmotion.cell.model import TABLE, TOOL, WORLD, Cell
 from scanmotion.core.part import Part
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.chain import link_frames
+from scanmotion.geometry.jit import njit
 
 _CELL_M = (0.30, 0.24, 0.17, 0.14, 0.09, 0.08, 0.06, 0.05)
 """Edge of the cells that a link's boxes are cut into before each is wrapped in a sphere, by link [m].
@@ -85,10 +86,11 @@ def filter_from(
     near = [(robot[b], moving[g]) for g, b in np.argwhere(pairs & tabled)]
     reach = _reach(cell, spheres, np.repeat(groups, np.diff(starts)))
     tables = near_tables(cell, near, min(cell.settings.process.self_clearance_m, GUIDED_M), reach)
+    # Copies where a cell is frozen or not yet: kernels would be compiled for either kind.
     return Filter(
         chain=(
             np.ascontiguousarray(cell.robot.X_PJ), np.ascontiguousarray(cell.robot.axes),
-            np.ascontiguousarray(cell.X_WB), np.ascontiguousarray(cell.robot.X_6F),
+            np.array(cell.X_WB, order="C"), np.ascontiguousarray(cell.robot.X_6F),
         ),
         spheres=(spheres, starts, bounds, groups, np.array([on_floor(cell, b) for b in moving])),
         boxes=(
@@ -128,7 +130,7 @@ def signed_distance_grid(part: Part, spacing: float = GRID_M) -> tuple[np.ndarra
     """Signed distances to the part's triangles on a grid around it (negative inside) and its origin [m]."""
     import open3d as o3d
 
-    scene = o3d.t.geometry.RaycastingScene()
+    scene = o3d.t.geometry.RaycastingScene(nthreads=allowed_threads())
     vertices: Any = part.vertices.astype(np.float32)
     triangles: Any = part.triangles.astype(np.uint32)
     scene.add_triangles(vertices, triangles)
@@ -137,9 +139,9 @@ def signed_distance_grid(part: Part, spacing: float = GRID_M) -> tuple[np.ndarra
     axes = [low[i] + spacing * np.arange(shape[i]) for i in range(3)]
     points: Any = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).astype(np.float32)
     if part.closed:
-        values = scene.compute_signed_distance(points).numpy()
+        values = scene.compute_signed_distance(points, nthreads=allowed_threads()).numpy()
     else:
-        values = scene.compute_distance(points).numpy()
+        values = scene.compute_distance(points, nthreads=allowed_threads()).numpy()
     return np.ascontiguousarray(values, dtype=np.float32), low
 
 
@@ -307,9 +309,11 @@ def edge_free(qa, qb, chain, spheres, boxes, world, grid, reach, pad):
     way = 0.0
     for i in range(7):
         way += abs(qb[i] - qa[i]) * reach[i]
-    t = 0.0
+    t, q = 0.0, np.empty(7)
     while True:
-        m = margin(qa + t * (qb - qa), chain, spheres, boxes, world, grid, 0.5)
+        for i in range(7):
+            q[i] = qa[i] + t * (qb[i] - qa[i])
+        m = margin(q, chain, spheres, boxes, world, grid, 0.5)
         if m < 0.0:
             return False, t
         if t >= 1.0:

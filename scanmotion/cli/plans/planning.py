@@ -21,6 +21,7 @@ from scanmotion.cli.inputs import (  # fmt: skip
     Robot,
     ScanFile,
     Seed,
+    Threads,
     Units,
     Up,
     cell_from,
@@ -184,6 +185,7 @@ def plan(
             rich_help_panel=OUT,
         ),
     ] = None,
+    threads: Threads = None,
     explain: Annotated[
         bool,
         typer.Option(

@@ -73,3 +73,39 @@ def deferred(name: str) -> Generator[None]:
     finally:
         if sys.modules.get(name) is stand_in:
             del sys.modules[name]
+
+
+def defer_classes(name: str, classes: tuple[str, ...]) -> None:
+    """Puts a module in the place of `name` whose classes are made by the true module when they are called.
+
+    Anything else that is asked of it loads the true module, which then stands in its place. Nothing is done
+    where it has been imported already.
+
+    Args:
+        name: dotted name of a module.
+        classes: what is imported from it, and only called.
+    """
+    if name in sys.modules:
+        return
+    stand_in = ModuleType(name)
+
+    def true_module() -> ModuleType:
+        if sys.modules.get(name) is stand_in:
+            del sys.modules[name]
+        return importlib.import_module(name)
+
+    def made(wanted: str) -> Callable[..., Any]:
+        def new(cls: type, *args: Any, **extra: Any) -> Any:
+            return getattr(true_module(), wanted)(*args, **extra)
+
+        return new
+
+    def attribute(wanted: str) -> Any:
+        if wanted.startswith("__"):
+            raise AttributeError(wanted)
+        return getattr(true_module(), wanted)
+
+    for wanted in classes:
+        setattr(stand_in, wanted, type(wanted, (), {"__new__": made(wanted), "__module__": name}))
+    stand_in.__getattr__ = attribute  # pyright: ignore
+    sys.modules[name] = stand_in

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from scanmotion.core.support.threads import allowed_threads
+
 _RAYS = 1500
 _COARSE = 150
 """Cells are never finer than the size over this."""
@@ -30,7 +32,7 @@ def spacing_of_points(points: np.ndarray, *, most: int = 4000, k: int = 6) -> fl
     if k < 1:
         return 0.0
     some = points[np.linspace(0, len(points) - 1, min(most, len(points))).astype(int)]
-    distance = cKDTree(points).query(some, k + 1, workers=-1)[0][:, -1]
+    distance = cKDTree(points).query(some, k + 1, workers=allowed_threads())[0][:, -1]
     return float(np.percentile(distance, 90) * np.sqrt(np.pi / (k + 0.5)))
 
 
@@ -82,5 +84,5 @@ def look_inwards(points: np.ndarray, normals: np.ndarray, space: Occupied | None
 def disagreeing(points: np.ndarray, normals: np.ndarray) -> float:
     """Share of points whose nearest neighbour's normal looks the other way."""
     some = np.linspace(0, len(points) - 1, min(20_000, len(points))).astype(int)
-    near = cKDTree(points).query(points[some], 2, workers=-1)[1][:, 1]
+    near = cKDTree(points).query(points[some], 2, workers=allowed_threads())[1][:, 1]
     return float((np.einsum("ij,ij->i", normals[some], normals[near]) < -0.5).mean())

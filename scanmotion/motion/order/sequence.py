@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scanmotion.core.errors import InputError
+from scanmotion.core.support.threads import by_pieces
 from scanmotion.core.tour import Stop, Tour
 from scanmotion.core.viewpoint import Viewpoint
 from scanmotion.motion.order.given_order import given_order
@@ -240,7 +241,13 @@ def _fastest_order(
     if not groups:
         return Ordered(groups=groups, order=[], ways=[], cost=0.0)
     starts = int(np.clip(60 // len(groups), 1, options.starts))
-    found = [_one_start(model, groups, start_q, rng, options) for _ in range(starts)]
+    streams = rng.spawn(starts)
+
+    def some(first: int, last: int) -> list[Ordered]:
+        return [_one_start(model, groups, start_q, draws, options) for draws in streams[first:last]]
+
+    # Each start draws from a stream of its own, so that their order on threads changes nothing.
+    found = [one for piece in by_pieces(some, starts, least=1) for one in piece]
     return min(found, key=lambda f: f.cost)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from scanmotion.core.tour import StopKind
 from scanmotion.core.viewpoint import Viewpoint
+from scanmotion.geometry.mending.keys import row_keys
 from scanmotion.motion.order.salesman.generalised_tsp import cheapest_apart, most_different
 from scanmotion.motion.transit_cost import (
     MoveModel,
@@ -193,7 +194,8 @@ def thinned_stops(
             classes = np.round(enter[:, :6] / _TABLE_RAD)
         else:
             classes = np.round(np.column_stack([enter[:, 6], group.leave.q[order, 6]]) / _TABLE_RAD)
-        _, firsts = np.unique(classes, axis=0, return_index=True)
+        low = classes.min(axis=0)
+        _, firsts = np.unique(row_keys((classes - low).astype(np.int64)), return_index=True)
         chosen = order[np.sort(firsts)][: int(_CLASSES * drawn)]
         chosen = cheapest_apart(features, order, chosen, _APART_S, int(_CHEAP * drawn))
     chosen = most_different(features, chosen, drawn)

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from ruckig import InputParameter, Result, Ruckig, Trajectory
 from scipy.ndimage import maximum_filter1d
 
 from scanmotion.core.errors import TimingError
+from scanmotion.geometry.jit import njit
 from scanmotion.motion.profile.speed_profile import (
     MARGIN,
     Derivatives,
@@ -337,6 +337,19 @@ def _law(
 
 
 @njit(cache=True)
+def _last_not_above(knots: np.ndarray, value: float) -> int:
+    """Last place of the ascending knots that is not above the value, at least 0."""
+    low, high = 0, len(knots)
+    while low < high:
+        middle = (low + high) // 2
+        if value < knots[middle]:
+            high = middle
+        else:
+            low = middle + 1
+    return max(low - 1, 0)
+
+
+@njit(cache=True)
 def _averaged(t: np.ndarray, knots: np.ndarray, pieces: np.ndarray, w1: float, w2: float) -> np.ndarray:
     """The parabola averaged over the last w1, then over the last w2 seconds, with three derivatives.
 
@@ -347,7 +360,7 @@ def _averaged(t: np.ndarray, knots: np.ndarray, pieces: np.ndarray, w1: float, w
     for n in range(len(t)):
         corners = (t[n] - wide, t[n] - narrow, t[n])
         now = t[n] - wide - narrow
-        i = max(np.searchsorted(knots, now, side="right") - 1, 0)
+        i = _last_not_above(knots, now)
         h = max(now - knots[i], 0.0)
         base = pieces[i, 0] + h * (pieces[i, 1] + pieces[i, 2] * h / 2)
         v = pieces[i, 1] + pieces[i, 2] * h if now > 0.0 else 0.0
@@ -376,6 +389,7 @@ def _averaged(t: np.ndarray, knots: np.ndarray, pieces: np.ndarray, w1: float, w
             out[n, 2] += sign * s
             out[n, 3] += sign * v
         out[n, 3] += first
-        out[n] /= w1 * w2
+        for c in range(4):
+            out[n, c] /= w1 * w2
         out[n, 0] += base
     return out

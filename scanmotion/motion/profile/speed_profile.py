@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from scanmotion.geometry.jit import njit
 from scanmotion.motion.profile.spline import JointSpline
 
 MARGIN = 5e-4

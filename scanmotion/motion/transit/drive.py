@@ -4,10 +4,10 @@ import functools
 import logging
 
 import numpy as np
-from numba import njit
 
 from scanmotion.cell.build import Cell
 from scanmotion.core.errors import TimingError
+from scanmotion.geometry.jit import njit
 from scanmotion.motion.profile.jerk_limited import TimeLaw, fastest_law, law_with
 from scanmotion.motion.profile.speed_profile import Derivatives, Limits, parameter_grid, profile_floor
 from scanmotion.motion.profile.spline import JointSpline, spline_beside, subdivided

@@ -16,6 +16,7 @@ from scanmotion.cell.collision.clearance import Clearance
 from scanmotion.cell.kinematics import scanner_in_object
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.core.tour import Path, Stop, Tour
 from scanmotion.core.trajectory import Trajectory
 from scanmotion.core.viewpoint import Slack, Viewpoint
@@ -214,7 +215,7 @@ def _programme(
 def _standoffs(scene: Scene, X_OS: np.ndarray, scanner: Scanner) -> list[float]:
     """How far the surface is along each optical axis, the middle of the range where there is none [m]."""
     rays: Any = np.concatenate([X_OS[:, :3, 3], X_OS[:, :3, 2]], axis=1).astype(np.float32)
-    hit = scene.raycaster.cast_rays(rays)["t_hit"].numpy()
+    hit = scene.raycaster.cast_rays(rays, nthreads=allowed_threads())["t_hit"].numpy()
     near, far = scanner.range
     return [float(d) if near <= d <= far else 0.5 * (near + far) for d in hit]
 

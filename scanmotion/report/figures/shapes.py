@@ -6,6 +6,7 @@ import numpy as np
 
 from scanmotion.core.part import Part
 from scanmotion.core.scanner import Scanner
+from scanmotion.geometry.parts.working_copy import decimated
 
 Mesh = tuple[np.ndarray, np.ndarray]
 """Vertices (n, 3) and triangles (m, 3)."""
@@ -101,7 +102,7 @@ def paintable(part: Part, *, edge: float = 0.008, most: int = 60_000) -> Mesh:
     """
     vertices, triangles = part.vertices, part.triangles
     if len(triangles) > most:
-        return _decimated(vertices, triangles, most)
+        return decimated(vertices, triangles, most)
     corners = vertices[triangles]
     lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     # A triangle whose edges are cut n-fold becomes n * n triangles.
@@ -126,16 +127,6 @@ def _split(corners: np.ndarray, n: int) -> Mesh:
     vertices = np.einsum("wc,kcd->kwd", weights, corners).reshape(-1, 3)
     shifts = len(ij) * np.arange(len(corners))[:, None, None]
     return vertices, (np.array(small)[None] + shifts).reshape(-1, 3)
-
-
-def _decimated(vertices: np.ndarray, triangles: np.ndarray, most: int) -> Mesh:
-    import open3d as o3d
-
-    mesh = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(vertices.copy()), o3d.utility.Vector3iVector(triangles.astype(np.int32))
-    )
-    small = mesh.simplify_quadric_decimation(most)
-    return np.asarray(small.vertices), np.asarray(small.triangles)
 
 
 def shading_normals(mesh: Mesh) -> np.ndarray:

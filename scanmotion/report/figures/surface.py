@@ -1,11 +1,14 @@
 """Shaded orthographic pictures of a mesh or a cloud, and what became of each piece of its surface."""
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.part import Part, SurfaceSamples
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.planning.plan import Plan
 from scanmotion.report.figures.palette import HIDDEN, MISSED, SEEN_GLOBAL, SEEN_LOCAL, STATUS_COLOURS, rgb
 
@@ -92,12 +95,21 @@ def picture_of(part: Part, view: View) -> Picture:
     return _cast(part, view) if part.is_mesh else _splat(part, view)
 
 
+@lru_cache(maxsize=1)
+def _scene_of(part: Part) -> Any:
+    """An Open3D RaycastingScene of the mesh, made once for all pictures of it."""
+    import open3d as o3d
+
+    scene = o3d.t.geometry.RaycastingScene(nthreads=allowed_threads())
+    tensor = o3d.core.Tensor.from_numpy
+    scene.add_triangles(tensor(part.vertices.astype(np.float32)), tensor(part.triangles.astype(np.uint32)))
+    return scene
+
+
 def _cast(part: Part, view: View) -> Picture:
     import open3d as o3d
 
-    scene = o3d.t.geometry.RaycastingScene()
-    tensor = o3d.core.Tensor.from_numpy
-    scene.add_triangles(tensor(part.vertices.astype(np.float32)), tensor(part.triangles.astype(np.uint32)))
+    scene, tensor = _scene_of(part), o3d.core.Tensor.from_numpy
     rows, cols = view.shape
     far = 2.0 * float(np.linalg.norm(part.extent)) + 1.0
     y, x = np.mgrid[0:rows, 0:cols]
@@ -108,7 +120,7 @@ def _cast(part: Part, view: View) -> Picture:
         + far * view.toward
     )
     rays = np.concatenate([origins, np.broadcast_to(-view.toward, origins.shape)], axis=-1)
-    answer = scene.cast_rays(tensor(rays.astype(np.float32)))
+    answer = scene.cast_rays(tensor(rays.astype(np.float32)), nthreads=allowed_threads())
     t = answer["t_hit"].numpy()
     hit = np.isfinite(t)
     normals = answer["primitive_normals"].numpy()[hit]
@@ -174,7 +186,7 @@ def nearest_status(
 ) -> np.ndarray:
     """Status of the sample nearest to each point; a different normal counts as far: sharp edges stay."""
     tree = cKDTree(np.hstack([samples.points, 0.02 * samples.normals]))
-    return status[tree.query(np.hstack([points, 0.02 * normals]), workers=1)[1]]
+    return status[tree.query(np.hstack([points, 0.02 * normals]), workers=allowed_threads())[1]]
 
 
 def status_image(part: Part, view: View, samples: SurfaceSamples, status: np.ndarray) -> np.ndarray:

@@ -1,6 +1,5 @@
 """Fusion: all scans in one frame -> one cloud with normals, on the surface that the raw points agree on."""
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import InputError
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.sensing.fusion.moving_least_squares import fitted
 from scanmotion.sensing.fusion.voxels import averaged, extent, grouped
 from scanmotion.sensing.simulator.simulate import Scan
@@ -77,7 +77,7 @@ def joined_points(scans: Sequence[Scan]) -> RawPoints:
     points = _stacked([s.points_O for s in scans])
     frame = _stacked([s.frame + np.int32(o) for s, o in zip(scans, first, strict=False)])
     depth = _stacked([s.depth for s in scans])
-    cameras = _stacked([s.captures.X_OS[:, :3, 3] for s in scans])
+    cameras = np.ascontiguousarray(_stacked([s.captures.X_OS[:, :3, 3] for s in scans]))
     return RawPoints(points=points, frame=frame, cameras=cameras, sigma=expected_sigma(depth))
 
 
@@ -205,7 +205,7 @@ def _fitted(raw: RawPoints, low: np.ndarray, shape: np.ndarray, voxel: float, ra
             misfit,
         )  # fmt: skip
 
-    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(max_workers=allowed_threads()) as pool:
         list(pool.map(one, ends[:-1], ends[1:]))
     return _Spots(
         unique=unique, start=start, order=order, view=view, points=points, normals=normals, misfit=misfit

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scanmotion.geometry.jit import njit
+from scanmotion.geometry.jit import copy_into, njit
 
 _MOST = 4000
 """Points about one voxel that are used."""
@@ -112,9 +112,41 @@ def _least_direction(c: np.ndarray, n: np.ndarray) -> None:
                 best = size
                 n[0], n[1], n[2] = x, y, z
         if best > 1e-6:
-            n /= np.sqrt(best)
+            best = np.sqrt(best)
+            n[0], n[1], n[2] = n[0] / best, n[1] / best, n[2] / best
             return
-    n[:] = np.linalg.eigh(c)[1][:, 0]
+    _by_rotations(c, n)
+
+
+@njit(cache=True)
+def _by_rotations(c: np.ndarray, n: np.ndarray) -> None:
+    """The same by Jacobi's rotations, for matrices whose two least eigenvalues are nearly one."""
+    a, v = np.empty((3, 3)), np.zeros((3, 3))
+    for i in range(3):
+        v[i, i] = 1.0
+        for j in range(3):
+            a[i, j] = c[i, j]
+    for _ in range(30):
+        for k in range(3):
+            p, q = (0, 1) if k == 0 else (0, 2) if k == 1 else (1, 2)
+            if a[p, q] == 0.0:
+                continue
+            half = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
+            t = (1.0 if half >= 0.0 else -1.0) / (abs(half) + np.sqrt(1.0 + half * half))
+            cos = 1.0 / np.sqrt(1.0 + t * t)
+            sin = t * cos
+            for m in range(3):
+                x, y = a[m, p], a[m, q]
+                a[m, p], a[m, q] = cos * x - sin * y, sin * x + cos * y
+                x, y = v[m, p], v[m, q]
+                v[m, p], v[m, q] = cos * x - sin * y, sin * x + cos * y
+            for m in range(3):
+                x, y = a[p, m], a[q, m]
+                a[p, m], a[q, m] = cos * x - sin * y, sin * x + cos * y
+    least = 0 if a[0, 0] <= a[1, 1] else 1
+    least = least if a[least, least] <= a[2, 2] else 2
+    for m in range(3):
+        n[m] = v[m, least]
 
 
 @njit(cache=True)
@@ -232,7 +264,8 @@ def _fit(points: np.ndarray, uvhw: np.ndarray, count: int, size: int, A: np.ndar
         _moments(uvhw, count, A, c)
         if not _solved(A, c, size):
             return -1.0
-        c[size:] = 0.0
+        for i in range(size, len(c)):
+            c[i] = 0.0
         spread = _misfit(points, uvhw, count, c)
     return spread
 
@@ -279,14 +312,15 @@ def fitted(
     for v in range(first, last):
         _columns(unique[v], unique, shape, begin, end)
         count = _gathered(begin, end, start, rows, frames, cameras, out[v], view[v], radius, near)
-        misfit[v], normals[v] = -1.0, view[v]
+        misfit[v] = -1.0
+        copy_into(normals[v], view[v])
         if count < 4:
             continue
         _spread(near, count, A[:3, :3])
         _least_direction(A[:3, :3], n)
         if n[0] * view[v, 0] + n[1] * view[v, 1] + n[2] * view[v, 2] < 0.0:
-            n *= -1.0
-        normals[v] = n
+            n[0], n[1], n[2] = -n[0], -n[1], -n[2]
+        copy_into(normals[v], n)
         _axes(n, axes)
         _onto_plane(near, count, radius, axes, uvhw)
         spread = _fit(near, uvhw, count, 6, A, c) if count >= 12 else -1.0

@@ -10,7 +10,9 @@ _NONE = -1
 @njit(cache=True)
 def extent(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least and greatest coordinates, shape (3,) each; NaN where a point holds one."""
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    low, high = np.empty(3), np.empty(3)
+    for a in range(3):
+        low[a], high[a] = np.inf, -np.inf
     for i in range(len(points)):
         for a in range(3):
             x = np.float64(points[i, a])
@@ -44,7 +46,7 @@ def _key(points: np.ndarray, i: int, low: np.ndarray, edge: float, shape: np.nda
 def _numbered(
     points: np.ndarray, low: np.ndarray, edge: float, shape: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Keys of the occupied voxels, ascending, and each point's position among them."""
+    """Keys of the occupied voxels as they are met, and each point's position among them."""
     size, count = 1 << 16, 0
     table, used = np.zeros(size, np.int64), np.full(size, _NONE, np.int32)
     voxel = np.empty(len(points), np.int32)
@@ -71,16 +73,9 @@ def _numbered(
     for k in range(size):
         if used[k] != _NONE:
             unique[used[k]] = table[k]
-    order = np.argsort(unique)
-    rank = np.empty(count, np.int32)
-    for k in range(count):
-        rank[order[k]] = k
-    for i in range(len(points)):
-        voxel[i] = rank[voxel[i]]
-    return unique[order], voxel
+    return unique, voxel
 
 
-@njit(cache=True)
 def grouped(
     points: np.ndarray, low: np.ndarray, edge: float, shape: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -97,16 +92,30 @@ def grouped(
         shape (v + 1,); the order, shape (n,) int32.
     """
     unique, voxel = _numbered(points, low, edge, shape)
-    start = np.zeros(len(unique) + 1, np.int64)
-    for i in range(len(points)):
-        start[voxel[i] + 1] += 1
-    start = np.cumsum(start)
-    place = start[:-1].copy()
-    order = np.empty(len(points), np.int32)
-    for i in range(len(points)):
-        order[place[voxel[i]]] = i
-        place[voxel[i]] += 1
-    return unique, start, order
+    ascending = np.argsort(unique)
+    rank = np.empty(len(unique), np.int32)
+    rank[ascending] = np.arange(len(unique), dtype=np.int32)
+    start, order = _ordered(voxel, rank)
+    return unique[ascending], start, order
+
+
+@njit(cache=True)
+def _ordered(voxel: np.ndarray, rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First place of each voxel's points, by the voxels' ranks, and the points in that order."""
+    start = np.zeros(len(rank) + 1, np.int64)
+    for i in range(len(voxel)):
+        start[rank[voxel[i]] + 1] += 1
+    for v in range(len(rank)):
+        start[v + 1] += start[v]
+    place = np.empty(len(rank), np.int64)
+    for v in range(len(rank)):
+        place[v] = start[v]
+    order = np.empty(len(voxel), np.int32)
+    for i in range(len(voxel)):
+        v = rank[voxel[i]]
+        order[place[v]] = i
+        place[v] += 1
+    return start, order
 
 
 @njit(cache=True)

@@ -7,7 +7,8 @@ are settled by a few sign comparisons; only the others have all their angles sor
 
 import numpy as np
 
-from scanmotion.geometry.jit import njit, prange
+from scanmotion.core.support.threads import by_pieces
+from scanmotion.geometry.jit import first_not_less, njit, sort_in_place
 
 _MOST_CELLS = 1 << 20
 
@@ -26,7 +27,8 @@ def exceeds_gap(points: np.ndarray, normals: np.ndarray, radius: float, threshol
     low = points.min(axis=0)
     side = max(radius, float((points.max(axis=0) - low).max()) / _MOST_CELLS) * (1.0 + 1e-9)
     span = np.floor((points.max(axis=0) - low) / side).astype(np.int64) + 3
-    key = _keys(points, low, side, span)
+    cube = ((points - low) / side).astype(np.int64) + 1
+    key = (cube[:, 0] * span[1] + cube[:, 1]) * span[2] + cube[:, 2]
     order = np.argsort(key, kind="stable")
     key = key[order]
     starts = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
@@ -34,28 +36,19 @@ def exceeds_gap(points: np.ndarray, normals: np.ndarray, radius: float, threshol
     ends = np.append(starts[1:], len(key))
     # rounding must not lose the neighbour whose distance is the radius
     reach = radius * radius * (1.0 + 1e-15)
-    return _exceeds(points, normals, order, cells, starts, ends, span, reach, threshold)
+    out, ordered = np.zeros(len(points), bool), points[order]
+
+    def some(first: int, last: int) -> None:
+        _exceeds(out, first, last, ordered, normals, order, cells, starts, ends, span, reach, threshold)
+
+    by_pieces(some, len(cells), least=500)
+    return out
 
 
-@njit(cache=True, parallel=True)
-def _keys(points, low, side, span):
-    key = np.empty(len(points), np.int64)
-    for i in prange(len(points)):
-        x = np.int64((points[i, 0] - low[0]) / side) + 1
-        y = np.int64((points[i, 1] - low[1]) / side) + 1
-        z = np.int64((points[i, 2] - low[2]) / side) + 1
-        key[i] = (x * span[1] + y) * span[2] + z
-    return key
-
-
-@njit(cache=True, parallel=True)
-def _exceeds(points, normals, order, cells, starts, ends, span, reach, threshold):
-    """Cell by cell: the neighbours lie in nine runs of three cells each."""
-    out = np.zeros(len(points), np.bool_)
-    ordered = np.empty_like(points)
-    for i in prange(len(points)):
-        ordered[i] = points[order[i]]
-    for c in prange(len(cells)):
+@njit(cache=True, nogil=True)
+def _exceeds(out, first, last, ordered, normals, order, cells, starts, ends, span, reach, threshold):
+    """Into `out` (n,), cell by cell of first..last: the neighbours lie in nine runs of three cells each."""
+    for c in range(first, last):
         runs = _runs(cells, starts, ends, c, span)
         most = 0
         for k in range(9):
@@ -80,7 +73,7 @@ def _runs(cells, starts, ends, c, span):
                 if abs(dx) + abs(dy) != ring:
                     continue
                 middle = cells[c] + (dx * span[1] + dy) * span[2]
-                first = np.searchsorted(cells, middle - 1)
+                first = first_not_less(cells, middle - 1)
                 last = first
                 while last < len(cells) and cells[last] <= middle + 1:
                     last += 1
@@ -146,7 +139,7 @@ def _largest_gap(points, p, u, v, runs, reach, angles):
                 m += 1
     if m < 2:
         return 2.0 * np.pi
-    angles[:m].sort()
+    sort_in_place(angles, m)
     gap = angles[0] + 2.0 * np.pi - angles[m - 1]
     for k in range(1, m):
         gap = max(gap, angles[k] - angles[k - 1])

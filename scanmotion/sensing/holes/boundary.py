@@ -12,7 +12,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import HoleError
-from scanmotion.geometry.jit import njit, prange
+from scanmotion.core.support.threads import allowed_threads, by_pieces
+from scanmotion.geometry.jit import njit
 from scanmotion.sensing.holes.angle_gaps import exceeds_gap
 from scanmotion.sensing.holes.orient import signs_by_spanning_tree
 
@@ -77,7 +78,7 @@ def neighbour_radius(tree: cKDTree, neighbours: int, *, most: int = 20000) -> fl
     if len(points) > most:
         order = np.lexsort(points.T)
         points = points[order[np.linspace(0, len(points) - 1, most).astype(int)]]
-    distance = tree.query(points, neighbours + 1, workers=-1)[0][:, -1]
+    distance = tree.query(points, neighbours + 1, workers=allowed_threads())[0][:, -1]
     return float(np.median(distance))
 
 
@@ -88,18 +89,21 @@ def plane_fits(points: np.ndarray, neighbours: np.ndarray) -> PlaneFits:
         points: cloud, shape (n, 3) [m].
         neighbours: indices, shape (m, k); row i may hold the point itself.
     """
-    covariance = _covariances(points, neighbours)
+    # One kind of array, whoever asks: the kernel would be compiled anew for each.
+    points, neighbours = np.array(points, dtype=float, order="C"), np.array(neighbours, order="C")
+    pieces = by_pieces(lambda a, b: _covariances(points, neighbours[a:b]), len(neighbours), least=2000)
+    covariance = np.concatenate(pieces)
     value, vector = np.linalg.eigh(covariance)
     return PlaneFits(
         normals=np.ascontiguousarray(vector[:, :, 0]), thickness=np.sqrt(np.maximum(value[:, 0], 0.0))
     )
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _covariances(points, neighbours):
     m, k = neighbours.shape
     out = np.zeros((m, 3, 3))
-    for i in prange(m):
+    for i in range(m):
         mean = np.zeros(3)
         for j in range(k):
             for a in range(3):
@@ -133,7 +137,7 @@ def oriented_normals(
         HoleError: fewer than k points, or bad numbers.
     """
     points = check_points(points, k)
-    index = cKDTree(points).query(points, k, workers=-1)[1]
+    index = cKDTree(points).query(points, k, workers=allowed_threads())[1]
     normals = plane_fits(points, index).normals
     if view_directions is not None:
         directions = check_unit(view_directions, len(points), "view directions")

@@ -3,10 +3,11 @@
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from scanmotion.geometry.jit import njit, turn_round
 
 Kind = Literal["common", "interstitial", "edge", "island"]
 
@@ -77,7 +78,7 @@ def _reverse_pass(points, tour):
                 continue
             ac = _distance(points, a, c)
             if ac + _distance(points, b, d) < ab + _distance(points, c, d) - 1e-12:
-                tour[i + 1 : j + 1] = tour[i + 1 : j + 1][::-1].copy()
+                turn_round(tour, i + 1, j)
                 b = tour[i + 1]
                 ab = ac
                 better = True
@@ -103,10 +104,12 @@ def _move_pass(points, tour):
                 best, at = cost, j
         if at >= 0:
             if at > i:
-                tour[i:at] = tour[i + 1 : at + 1].copy()
+                for m in range(i, at):
+                    tour[m] = tour[m + 1]
                 tour[at] = p
             else:
-                tour[at + 2 : i + 1] = tour[at + 1 : i].copy()
+                for m in range(i, at + 1, -1):
+                    tour[m] = tour[m - 1]
                 tour[at + 1] = p
             better = True
     return better

@@ -8,9 +8,10 @@ piece gets its sign from its own outermost points; a flat piece, which has no ou
 """
 
 import numpy as np
-from numba import njit
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+
+from scanmotion.geometry.jit import njit
 
 _LEAST = 1e-6
 _FLAT = 1e-3

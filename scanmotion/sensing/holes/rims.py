@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.sensing.holes.boundary import plane_fits
 from scanmotion.sensing.holes.loops import facing, inscribed_radius, ordered_loop
 from scanmotion.sensing.holes.voronoi_gaps import RimSet, cell_radii, rim_set
@@ -92,7 +93,7 @@ class Sampling:
 def sampling_of(points: np.ndarray) -> Sampling:
     """Neighbours, pitch and plane fits of a cloud, shape (n, 3) [m]."""
     tree = cKDTree(points)
-    distance, nearest = tree.query(points, min(NEIGHBOURS + 1, len(points)), workers=-1)
+    distance, nearest = tree.query(points, min(NEIGHBOURS + 1, len(points)), workers=allowed_threads())
     eighth = min(PITCH, distance.shape[1] - 1)
     pitch = distance[:, eighth] * np.sqrt(np.pi / (eighth + 0.5))
     unit = np.median(pitch[nearest], axis=1)[nearest].mean(axis=1)

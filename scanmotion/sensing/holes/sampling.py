@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import HoleError
+from scanmotion.core.support.threads import allowed_threads
+from scanmotion.geometry.jit import first_not_less, njit
 from scanmotion.sensing.holes.rims import Sampling, sampling_of
 
 UNEVEN = 1.5
@@ -86,7 +87,7 @@ def evened(points: np.ndarray, directions: np.ndarray | None, voxel: float) -> t
     # from the middle outwards the seeds pack closely; copies are gone, so ties are broken by the coordinates
     order = np.lexsort((*points.T, away))
     seeds = order[spread(points, order, APART * voxel)[order]]
-    distance, nearest = cKDTree(points[seeds]).query(points, min(2, len(seeds)), workers=-1)
+    distance, nearest = cKDTree(points[seeds]).query(points, min(2, len(seeds)), workers=allowed_threads())
     distance, nearest = distance.reshape(len(points), -1), nearest.reshape(len(points), -1)
     # between two seeds, as on the grid of a range image, the inner one has it
     tied = distance[:, -1] - distance[:, 0] < 1e-9 * voxel
@@ -119,7 +120,7 @@ def _spread(points, order, key, cells, wide, high, square):
         free = True
         for column in range(9):
             middle = key[i] + (column // 3 - 1) * wide * high + (column % 3 - 1) * high
-            c = np.searchsorted(cells, middle - 1)
+            c = first_not_less(cells, middle - 1)
             while free and c < len(cells) and cells[c] <= middle + 1:
                 j = last[c]
                 while free and j >= 0:
@@ -131,7 +132,7 @@ def _spread(points, order, key, cells, wide, high, square):
                 c += 1
         if free:
             kept[i] = True
-            c = np.searchsorted(cells, key[i])
+            c = first_not_less(cells, key[i])
             before[i] = last[c]
             last[c] = i
     return kept

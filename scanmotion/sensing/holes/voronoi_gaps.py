@@ -7,14 +7,17 @@ which a cell exceeds a sample's share tells how many samples are missing. A hole
 points that share large empty discs and miss enough samples.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from scanmotion.geometry.jit import njit, prange
+from scanmotion.core.support.threads import allowed_threads, by_pieces
+from scanmotion.geometry.jit import njit
 
 CAP = 3.0
 """Greatest radius of an empty disc that is told apart, in pitches."""
@@ -78,7 +81,7 @@ def _clip(x, y, gen, m, qx, qy, j, keep):
 def _cell(P, n, points, row, unit, cap, x, y, gen, keep):
     """Voronoi cell of P in its tangent plane within cap * unit: corners (x, y), the edges' generators."""
     (ux, uy, uz), (vx, vy, vz) = _frame(n)
-    m = _CORNERS
+    m = np.int64(_CORNERS)
     j = row[0]
     dx, dy, dz = points[j, 0] - P[0], points[j, 1] - P[1], points[j, 2] - P[2]
     # the corners that nothing clips must turn with the cloud: the first lies towards the nearest neighbour
@@ -124,12 +127,12 @@ class RimSet:
     """Unit vectors from the rim points into the empty region, shape (m, 3); zero where the cell is closed."""
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _cells(points, normals, index, rows, unit, cap):
     """Largest corner distance and area of the cells of the points `index`, in units."""
     radius = np.zeros(len(index))
     area = np.zeros(len(index))
-    for i in prange(len(index)):
+    for i in range(len(index)):
         x, y, gen, keep = np.empty(_MOST), np.empty(_MOST), np.empty(_MOST, np.int64), np.empty(_MOST)
         p = index[i]
         m, reach = _cell(points[p], normals[p], points, rows[i], unit[p], cap, x, y, gen, keep)
@@ -142,19 +145,21 @@ def _cells(points, normals, index, rows, unit, cap):
     return radius, area
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _discs(points, normals, index, rows, unit, cap, least):
     """Far corners of the cells: the two points that share each (-1 for none), how many, and which way."""
-    shared = np.full((len(index), _FAR, 2), -1)
+    shared = np.empty((len(index), _FAR, 2), np.int64)
     count = np.zeros(len(index), np.int64)
     toward = np.zeros((len(index), 3))
-    for i in prange(len(index)):
+    for i in range(len(index)):
         x, y, gen, keep = np.empty(_MOST), np.empty(_MOST), np.empty(_MOST, np.int64), np.empty(_MOST)
         p = index[i]
         m, _ = _cell(points[p], normals[p], points, rows[i], unit[p], cap, x, y, gen, keep)
         u, v = _frame(normals[p])
+        for k in range(_FAR):
+            shared[i, k, 0] = shared[i, k, 1] = -1
         for k in range(m):
-            if np.sqrt(x[k] ** 2 + y[k] ** 2) <= least * unit[p] or count[i] == _FAR:
+            if np.sqrt(x[k] * x[k] + y[k] * y[k]) <= least * unit[p] or count[i] == _FAR:
                 continue
             shared[i, count[i], 0] = gen[k - 1 if k else m - 1]
             shared[i, count[i], 1] = gen[k]
@@ -179,9 +184,10 @@ def rim_set(
     """
     points = np.asarray(tree.data)
     n = len(points)
-    rows = tree.query(points[suspects], min(SECOND + 1, n), workers=-1)[1][:, 1:]
-    widest, area = _cells(points, normals, suspects, rows, unit, CAP)
-    shared, count, toward = _discs(points, normals, suspects, rows, unit, CAP, weak)
+    rows = tree.query(points[suspects], min(SECOND + 1, n), workers=allowed_threads())[1][:, 1:]
+    suspects = np.ascontiguousarray(suspects, dtype=np.int64)
+    widest, area = _pieces(_cells, points, normals, suspects, rows, unit, CAP)
+    shared, count, toward = _pieces(_discs, points, normals, suspects, rows, unit, CAP, weak)
     here = np.repeat(suspects, count)
     other = shared[np.arange(_FAR) < count[:, None]]
     edge = np.concatenate([np.stack([here, other[:, 0]]), np.stack([here, other[:, 1]])], axis=1)
@@ -206,7 +212,23 @@ def rim_set(
     )
 
 
+def _pieces(
+    kernel: Callable[..., tuple[np.ndarray, ...]],
+    points: np.ndarray,
+    normals: np.ndarray,
+    index: np.ndarray,
+    rows: np.ndarray,
+    *rest: Any,
+) -> tuple[np.ndarray, ...]:
+    """A kernel over the points `index` on threads; each point is looked at for itself."""
+    rows = np.array(rows, dtype=np.int64, order="C")
+    found = by_pieces(
+        lambda a, b: kernel(points, normals, index[a:b], rows[a:b], *rest), len(index), least=500
+    )
+    return tuple(np.concatenate(column) for column in zip(*found, strict=True))
+
+
 def cell_radii(tree: cKDTree, normals: np.ndarray, rows: np.ndarray, unit: np.ndarray) -> np.ndarray:
     """Largest empty disc at every point by its nearest neighbours alone, in pitches, shape (n,)."""
     points = np.asarray(tree.data)
-    return _cells(points, normals, np.arange(len(points)), rows, unit, CAP)[0]
+    return _pieces(_cells, points, normals, np.arange(len(points)), rows, unit, CAP)[0]

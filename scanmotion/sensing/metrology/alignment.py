@@ -14,6 +14,7 @@ import numpy as np
 
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.column_products import column_products
 from scanmotion.sensing.assess import raycaster
 from scanmotion.sensing.simulator.captures import motion
@@ -128,7 +129,7 @@ def _turns() -> list[np.ndarray]:
 
 def _distances(points: np.ndarray, scene: Any) -> tuple[np.ndarray, np.ndarray]:
     """Signed distance (n,) and its gradient (n, 3); the sign is that of the nearest triangle's normal."""
-    near = scene.compute_closest_points(np.ascontiguousarray(points, np.float32))
+    near = scene.compute_closest_points(np.ascontiguousarray(points, np.float32), nthreads=allowed_threads())
     offset = points - near["points"].numpy().astype(float)
     normal = near["primitive_normals"].numpy().astype(float)
     length = np.linalg.norm(offset, axis=1)

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from scanmotion.core.errors import InputError
 from scanmotion.core.part import Part, SurfaceSamples
 from scanmotion.core.support.streams import fixed_stream
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.parts.make_part import surface_samples
 from scanmotion.sensing.assess import covered_samples, raycaster, signed_distances
 from scanmotion.sensing.visibility import tangents
@@ -138,7 +139,9 @@ def deviations(
     covered = covered_samples(
         samples, p, normals[keep], distance=limits.cover_distance, angle=limits.cover_angle
     )
-    near = raycaster(part).compute_closest_points(np.ascontiguousarray(p, np.float32))
+    near = raycaster(part).compute_closest_points(
+        np.ascontiguousarray(p, np.float32), nthreads=allowed_threads()
+    )
     facing = near["primitive_normals"].numpy()
     at = near["points"].numpy()
     masks = _boxed(at, samples.points, boxes) if boxes else _usual(at, facing, samples, part)

@@ -5,6 +5,7 @@ from scipy.spatial import cKDTree
 
 from scanmotion.core.part import Part
 from scanmotion.core.support.streams import fixed_stream
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.sensing.fusion.fuse import Cloud
 from scanmotion.sensing.holes.boundary import oriented_normals
 from scanmotion.sensing.holes.sampling import even_samples
@@ -55,6 +56,6 @@ def spacing_of(points: np.ndarray, *, least: float) -> float:
         The 95th percentile over the points: where parts of a scan lie double, its single parts decide.
     """
     k = min(_NEIGHBOURS, len(points) - 1)
-    distance = cKDTree(points).query(points, k + 1, workers=-1)[0][:, -1]
+    distance = cKDTree(points).query(points, k + 1, workers=allowed_threads())[0][:, -1]
     # k neighbours and half of the point itself share a disc that reaches to the last of them.
     return max(float(np.percentile(distance * np.sqrt(np.pi / (k + 0.5)), 95)), least)

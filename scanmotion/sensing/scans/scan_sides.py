@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scanmotion.core.errors import HoleError
+from scanmotion.core.support.threads import allowed_threads
 from scanmotion.geometry.mending.outward import (
     Occupied,
     escapes,
@@ -62,7 +63,7 @@ def _side(points: np.ndarray, given: np.ndarray | None, space: Occupied, middle:
         return Side(normals=-given if inward else given, said=turned if inward else "normals of the file")
     if len(points) <= _NEIGHBOURS:
         raise HoleError(f"{len(points)} points are too few to tell its sides")
-    index = cKDTree(points).query(points, _NEIGHBOURS, workers=-1)[1]
+    index = cKDTree(points).query(points, _NEIGHBOURS, workers=allowed_threads())[1]
     fits = plane_fits(points, index).normals
     d, hidden = _view_direction(points, fits)
     if hidden > _HIDDEN:
@@ -132,7 +133,7 @@ def _towards(points: np.ndarray, fits: np.ndarray, d: np.ndarray) -> np.ndarray:
     normals = fits * np.where(lean < 0, -1.0, 1.0)[:, None]
     sure = np.abs(lean) > _SURE
     if sure.any() and not sure.all():
-        near = cKDTree(points[sure]).query(points[~sure], workers=-1)[1]
+        near = cKDTree(points[sure]).query(points[~sure], workers=allowed_threads())[1]
         agree = np.einsum("ij,ij->i", normals[~sure], normals[sure][near])
         normals[~sure] *= np.where(agree < -0.2, -1.0, 1.0)[:, None]
     return normals

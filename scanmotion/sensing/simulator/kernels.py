@@ -5,7 +5,6 @@ import numpy as np
 from scanmotion.geometry.jit import njit
 
 
-@njit(cache=True)
 def hull_rows(points: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Interval of x that the convex hull of plane points spans at each height y of `rows`.
 
@@ -17,9 +16,15 @@ def hull_rows(points: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndar
         least and greatest x, shape (m,) each; least > greatest where the hull does not reach.
     """
     # By height, and by x where heights are equal.
-    order = np.argsort(points[:, 1] + 1e-10 * points[:, 0])
-    low = np.full(len(rows), np.inf)
-    high = np.full(len(rows), -np.inf)
+    order = np.argsort(points[:, 1] + 1e-10 * points[:, 0], kind="stable")
+    low, high = np.full(len(rows), np.inf), np.full(len(rows), -np.inf)
+    _hull_rows(np.ascontiguousarray(points), order, np.ascontiguousarray(rows), low, high)
+    return low, high
+
+
+@njit(cache=True, nogil=True)
+def _hull_rows(points, order, rows, low, high):
+    """Andrew's chains of the points in that order, from both sides, into low and high (m,)."""
     for side in (1.0, -1.0):
         chain = np.empty(len(order), np.int64)
         size = 0
@@ -41,10 +46,8 @@ def hull_rows(points: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndar
                     x = a[0] if step <= 0.0 else a[0] + (b[0] - a[0]) * (rows[j] - a[1]) / step
                     low[j] = min(low[j], x, b[0] if step <= 0.0 else x)
                     high[j] = max(high[j], x, b[0] if step <= 0.0 else x)
-    return low, high
 
 
-@njit(cache=True)
 def frame_rays(
     X_OS: np.ndarray, columns: np.ndarray, rows: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -60,13 +63,15 @@ def frame_rays(
     Returns:
         origins and directions, shape (k, 6) float32; column index (k,); row index (k,).
     """
-    count = 0
-    first = np.empty(len(rows), np.int64)
-    last = np.empty(len(rows), np.int64)
-    for j in range(len(rows)):
-        first[j] = np.searchsorted(columns, low[j], side="left")
-        last[j] = max(np.searchsorted(columns, high[j], side="right"), first[j])
-        count += last[j] - first[j]
+    first = np.searchsorted(columns, low, side="left")
+    last = np.maximum(np.searchsorted(columns, high, side="right"), first)
+    count = int((last - first).sum())
+    return _frame_rays(X_OS, np.ascontiguousarray(columns), np.ascontiguousarray(rows), first, last, count)
+
+
+@njit(cache=True, nogil=True)
+def _frame_rays(X_OS, columns, rows, first, last, count):
+    """Row by row, from column first[j] to before last[j]."""
     rays = np.empty((count, 6), np.float32)
     column = np.empty(count, np.int32)
     row = np.empty(count, np.int32)
@@ -81,7 +86,7 @@ def frame_rays(
     return rays, column, row
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def lit_hits(
     rays: np.ndarray,
     depth: np.ndarray,
@@ -126,7 +131,7 @@ def lit_hits(
     return index[:k], cosine[:k], shadow[:k]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def surely_lit(
     depth: np.ndarray, column: np.ndarray, row: np.ndarray, x: np.ndarray, high: np.ndarray, nearest: float,
     baseline: float,
@@ -149,16 +154,19 @@ def surely_lit(
         baseline: from the camera to the projector along +x of S, above zero [m].
     """
     w, h = len(x), len(high)
-    g = np.full((h, w + 1), -np.inf)
+    g, top = np.empty((h, w + 1)), np.empty((h, w + 1))
+    for j in range(h):
+        for c in range(w + 1):
+            g[j, c] = -np.inf
     for i in range(len(depth)):
         g[row[i], column[i]] = 1.0 / depth[i] - x[column[i]] / baseline
     for j in range(h):
         if high[j] > x[w - 1]:
             g[j, w] = 1.0 / nearest - x[w - 1] / baseline
-    top = g.copy()
     for j in range(h):
+        top[j, w] = g[j, w]
         for c in range(w - 1, -1, -1):
-            top[j, c] = max(top[j, c + 1], top[j, c])
+            top[j, c] = max(top[j, c + 1], g[j, c])
     margin = 0.6 * (x[w - 1] - x[0]) / max(w - 1, 1) / baseline
     sure = np.zeros(len(depth), np.bool_)
     for i in range(len(depth)):
@@ -171,7 +179,7 @@ def surely_lit(
     return sure
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def placed(
     X_OS: np.ndarray,
     x: np.ndarray,

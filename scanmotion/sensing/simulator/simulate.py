@@ -20,13 +20,11 @@ from scanmotion.sensing.simulator.captures import (
     still_captures,
     true_poses,
 )
-from scanmotion.sensing.simulator.kernels import frame_rays, hull_rows, lit_hits, placed, surely_lit
+from scanmotion.sensing.simulator.kernels import placed
+from scanmotion.sensing.simulator.range_frames import PixelGrid, range_frames
 from scanmotion.sensing.visibility import Scene, scene_from, seen_by_any
 
 __all__ = ["Captures", "Scan", "ScanErrors", "captures_from_trajectory", "simulate", "still_captures"]
-
-_SHADOW_END = 1.0 - 3e-4
-"""Shadow rays end this share short of the hit, so that the hit does not shade itself."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,12 +98,11 @@ def simulate(
     n = len(captures)
     X_true, X_nominal = true_poses(captures, errors, rng), captures.X_OS
     scales = 1.0 + scanner.frame_scale * errors.frame_scale * rng.standard_normal(n)
-    grid = _Grid(scanner, stride)
+    grid = PixelGrid(scanner, stride)
     moving = captures.body_rates if scanner.exposure or scanner.rolling else None
     frames = []
-    for k in range(n):
+    for k, (depth, cosine, column, row, normal) in enumerate(range_frames(scene, scanner, X_true, grid)):
         columns, rows = grid.phase(k)
-        depth, cosine, column, row, normal = _range_frame(scene, scanner, X_true[k], columns, rows)
         if moving is not None and moving[k].any():
             ray = np.column_stack([columns[column], rows[row], np.ones(len(depth))])
             slope = _depth_rate(ray, depth, normal @ X_true[k, :3, :3], moving[k])
@@ -136,24 +133,6 @@ def simulate(
     )
 
 
-def _blinding(
-    rays: np.ndarray, depth: np.ndarray, normals: np.ndarray, p_OP: np.ndarray, mirror: float
-) -> np.ndarray:
-    """Where the mirror image of the projector lies within `mirror` [rad] of the camera, shape (k,) bool.
-
-    Args:
-        rays: from the camera, shape (k, 6); their parameter is the depth.
-        depth: shape (k,) [m].
-        normals: shape (k, 3).
-        p_OP: place of the projector in O, shape (3,) [m].
-        mirror: half angle.
-    """
-    camera = -depth[:, None] * rays[:, 3:]
-    projector = p_OP - (rays[:, :3] - camera)
-    half = sum(v / np.linalg.norm(v, axis=1, keepdims=True) for v in (camera, projector))
-    return np.einsum("ij,ij->i", half, normals) >= np.cos(mirror) * np.linalg.norm(half, axis=1)
-
-
 def _depth_rate(ray: np.ndarray, depth: np.ndarray, normal: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """How fast the depth of each pixel changes while the surface, flat about the pixel, moves, shape (k,)
     [m/s].
@@ -173,95 +152,6 @@ def _depth_rate(ray: np.ndarray, depth: np.ndarray, normal: np.ndarray, rate: np
 
 def _joined(arrays: list[np.ndarray], empty: tuple[int, ...], dtype: type) -> np.ndarray:
     return np.concatenate(arrays) if arrays else np.zeros(empty, dtype)
-
-
-class _Grid:
-    """The pixels' directions x / z and y / z, and the subset cast in each frame."""
-
-    def __init__(self, scanner: Scanner, stride: int) -> None:
-        if stride < 1:
-            raise ValueError(f"stride {stride}: at least 1 is expected")
-        self.width, self.height = scanner.rays
-        self.stride = stride
-        self.x = np.tan(scanner.fov[0] / 2) * ((2 * np.arange(self.width) + 1) / self.width - 1)
-        self.y = np.tan(scanner.fov[1] / 2) * ((2 * np.arange(self.height) + 1) / self.height - 1)
-
-    @property
-    def size(self) -> int:
-        """Pixels asked for in one frame, on average over the phases."""
-        return self.width * self.height // self.stride**2
-
-    def offsets(self, k: int) -> tuple[int, int]:
-        """First column and row of frame `k`; for stride 2 successive frames lie apart diagonally."""
-        s = self.stride
-        step = k % (s * s)
-        return step % s, (step + step // s) % s
-
-    def phase(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        a, b = self.offsets(k)
-        return self.x[a :: self.stride], self.y[b :: self.stride]
-
-    def pixels(self, k: int, column: np.ndarray, row: np.ndarray) -> np.ndarray:
-        a, b = self.offsets(k)
-        return ((b + row * self.stride) * self.width + a + column * self.stride).astype(np.int32)
-
-
-def _range_frame(
-    scene: Scene,
-    scanner: Scanner,
-    X_OS: np.ndarray,
-    columns: np.ndarray,
-    rows: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """True depth, cosine of incidence, column, row and normal in O of every pixel that both eyes measure."""
-    low, high = _spans(X_OS, rows, scene.outline)
-    rays, column, row = frame_rays(X_OS, columns, rows, low, high)
-    if len(rays) == 0:
-        return np.zeros(0, np.float32), np.zeros(0, np.float32), column, row, np.zeros((0, 3), np.float32)
-    rays_hit, hit = rays, scene.raycaster.cast_rays(rays)
-    normals = hit["primitive_normals"].numpy()
-    depth = hit["t_hit"].numpy()
-    p_OP = X_OS[:3, 3] + scanner.baseline * X_OS[:3, 0]
-    index, cosine, shadow = lit_hits(
-        rays, depth, hit["geometry_ids"].numpy(), normals, p_OP, *scanner.range,
-        np.cos(scanner.max_incidence), 0,
-    )  # fmt: skip
-    lit = np.zeros(len(index), bool)
-    nearest = _nearest(scene, X_OS, p_OP)
-    if scanner.baseline > 0 and nearest > 1e-3:
-        lit = surely_lit(depth, column, row, columns, high, nearest, scanner.baseline)[index]
-    doubtful = np.flatnonzero(~lit)
-    if len(doubtful):
-        rays = shadow[doubtful]
-        lit[doubtful] = ~scene.raycaster.test_occlusions(rays, tnear=0.0, tfar=_SHADOW_END).numpy()
-    if scanner.mirror > 0:
-        lit &= ~_blinding(rays_hit[index], depth[index], normals[index], p_OP, scanner.mirror)
-    index, cosine = index[lit], cosine[lit]
-    return depth[index], cosine, column[index], row[index], normals[index]
-
-
-def _nearest(scene: Scene, X_OS: np.ndarray, p_OP: np.ndarray) -> float:
-    """Least depth of the part; 0 where it is not known, or where table or pedestal may shade it too.
-
-    Both are below z = 0 of O and lie off every way from a part above it to a projector above it.
-    """
-    if scene.outline is None:
-        return 0.0
-    if np.isfinite(scene.table_z) and not (p_OP[2] > 0 and scene.outline[:, 2].min() > -1e-5):
-        return 0.0
-    return float(((scene.outline - X_OS[:3, 3]) @ X_OS[:3, 2]).min())
-
-
-def _spans(X_OS: np.ndarray, rows: np.ndarray, outline: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """In each pixel row, the interval of x / z that the part's convex hull fills; all of it where unknown."""
-    everything = np.full(len(rows), -np.inf), np.full(len(rows), np.inf)
-    if outline is None:
-        return everything
-    p_S = (outline - X_OS[:3, 3]) @ X_OS[:3, :3]
-    if p_S[:, 2].min() < 1e-3:
-        return everything
-    low, high = hull_rows(p_S[:, :2] / p_S[:, 2:], rows)
-    return low - 1e-6, high + 1e-6
 
 
 def _seen(

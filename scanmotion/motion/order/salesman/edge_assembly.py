@@ -7,8 +7,8 @@ between them; a child is parent A with one such cycle exchanged, its subtours jo
 """
 
 import numpy as np
-from numba import njit
 
+from scanmotion.geometry.jit import copy_into, njit, sort_in_place
 from scanmotion.motion.order.salesman.local_search import EPS, random_below
 
 
@@ -38,7 +38,7 @@ def _open_edges(link, other, rest, degree):
 @njit(cache=True)
 def _take(rest, degree, v, state):
     """Draw one open edge at v, remove it at both ends, and return its other end."""
-    s = random_below(state, 2) if degree[v] == 2 else 0
+    s = random_below(state, np.int64(2)) if degree[v] == 2 else 0
     u = rest[v, s]
     degree[v] -= 1
     if s == 0:
@@ -134,7 +134,7 @@ def _stretches(cycle, pos):
     for i in range(len(cuts)):
         p, q = pos[cycle[2 * i]], pos[cycle[2 * i + 1]]
         cuts[i] = p if (p + 1) % n == q else q
-    cuts.sort()
+    sort_in_place(cuts, len(cuts))
     return cuts
 
 
@@ -155,7 +155,8 @@ def _stretch_of(cuts, place):
 def _label_subtours(link, tour, pos, cuts, label, size):
     """Subtour of each stretch, and the number of cities of each subtour; returns their number."""
     n = len(pos)
-    label[: len(cuts)] = -1
+    for s in range(len(cuts)):
+        label[s] = -1
     subtours = 0
     for s0 in range(len(cuts)):
         if label[s0] >= 0:
@@ -311,7 +312,7 @@ def cross(D, NB, tour_a, tour_b, children, state):
     return best_gain
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def evolve(D, NB, population, costs, generations, patience, children, state):
     """Generations of edge assembly in place until none improves for `patience` rounds; returns rounds done.
 
@@ -327,12 +328,13 @@ def evolve(D, NB, population, costs, generations, patience, children, state):
     """
     p = len(population)
     order = np.arange(p)
+    first = np.empty(population.shape[1], np.int64)
     idle = 0
     for generation in range(generations):
         for i in range(p - 1, 0, -1):
             j = random_below(state, i + 1)
             order[i], order[j] = order[j], order[i]
-        first = population[order[0]].copy()
+        copy_into(first, population[order[0]])
         improved = False
         for i in range(p):
             other = population[order[i + 1]] if i + 1 < p else first

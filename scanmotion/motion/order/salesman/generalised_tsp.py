@@ -9,8 +9,8 @@ back where they cost least, improved by 2-opt, insertion and dynamic programming
 """
 
 import numpy as np
-from numba import njit
 
+from scanmotion.geometry.jit import copy_into, njit, turn_round
 from scanmotion.motion.order.salesman.local_search import EPS, random_below
 
 
@@ -135,8 +135,8 @@ def _reversals(C, head, tail, partner, stage, order, states):
             new = _step(C, head, tail, s, partner[states[j]]) + _step(C, head, tail, partner[states[i]], t)
             if new < old - EPS:
                 gain += old - new
-                order[i : j + 1] = order[i : j + 1][::-1].copy()
-                states[i : j + 1] = states[i : j + 1][::-1].copy()
+                turn_round(order, i, j)
+                turn_round(states, i, j)
                 for k in range(i, j + 1):
                     states[k] = partner[states[k]]
     return gain
@@ -173,7 +173,7 @@ def _shaken(C, CT, head, tail, first, stage, order, states, most, rng):
     m = len(order)
     count = 1 + random_below(rng, most)
     groups = np.empty(count, dtype=np.int64)
-    together = random_below(rng, 2) == 0
+    together = random_below(rng, np.int64(2)) == 0
     at = random_below(rng, m)
     for k in range(count):
         i = at % (m - k) if together else random_below(rng, m - k)
@@ -206,15 +206,17 @@ def _crossed(stage, order_a, states_a, order_b, states_b, order, states, rng):
 @njit(cache=True)
 def _mutated(C, CT, head, tail, first, partner, stage, order, states, cost, shakes, most, rng):
     """Repeated shaking, keeping what is no worse, then a local optimum; returns the cost."""
-    trial, trial_states = order.copy(), states.copy()
+    trial, trial_states = np.empty(len(order), np.int64), np.empty(len(order), np.int64)
     for _ in range(shakes):
-        trial[:], trial_states[:] = order, states
+        copy_into(trial, order)
+        copy_into(trial_states, states)
         _shaken(C, CT, head, tail, first, stage, trial, trial_states, most, rng)
         now = states_cost(C, head, tail, trial_states)
         if now <= cost + EPS:
             if now < cost - EPS:
                 now = best_states(CT, head, tail, first, trial, trial_states)
-            order[:], states[:] = trial, trial_states
+            copy_into(order, trial)
+            copy_into(states, trial_states)
             cost = now
     return min(cost, improve(C, CT, head, tail, first, partner, stage, order, states))
 
@@ -227,6 +229,17 @@ def _parent(costs, rng):
 
 
 @njit(cache=True)
+def _standing(costs, cost):
+    """The cheapest, the dearest, and how near the nearest of the costs (p,) is to one."""
+    best, worst, nearest = 0, 0, abs(costs[0] - cost)
+    for k in range(1, len(costs)):
+        best = k if costs[k] < costs[best] else best
+        worst = k if costs[k] > costs[worst] else worst
+        nearest = min(nearest, abs(costs[k] - cost))
+    return best, worst, nearest
+
+
+@njit(cache=True, nogil=True)
 def search(C, CT, head, tail, first, partner, stage, seeds, generations, shakes, most, rng):
     """Genetic algorithm over orders and states; returns (order, states, cost).
 
@@ -260,11 +273,15 @@ def search(C, CT, head, tail, first, partner, stage, seeds, generations, shakes,
         cost = _mutated(
             C, CT, head, tail, first, partner, stage, child, child_states, cost, shakes, most, rng
         )
-        worst = int(np.argmax(costs))
-        if cost < costs[worst] - EPS and np.abs(costs - cost).min() > EPS:
-            seeds[worst], states[worst], costs[worst] = child, child_states, cost
-    best = int(np.argmin(costs))
-    return seeds[best].copy(), states[best].copy(), costs[best]
+        best, worst, nearest = _standing(costs, cost)
+        if cost < costs[worst] - EPS and nearest > EPS:
+            copy_into(seeds[worst], child)
+            copy_into(states[worst], child_states)
+            costs[worst] = cost
+    best, worst, nearest = _standing(costs, 0.0)
+    copy_into(child, seeds[best])
+    copy_into(child_states, states[best])
+    return child, child_states, costs[best]
 
 
 @njit(cache=True)
@@ -279,7 +296,7 @@ def _gap(features, a, b):
 def cheapest_apart(features, order, chosen, apart, most):
     """Add the first rows of `order` that lie `apart` from all chosen ones until there are `most`."""
     out = np.empty(max(most, len(chosen)), dtype=np.int64)
-    out[: len(chosen)] = chosen
+    copy_into(out, chosen)
     count = len(chosen)
     for row in order:
         if count >= most:
@@ -300,12 +317,16 @@ def most_different(features, chosen, most):
     """Add the row that is farthest from all chosen ones, until there are `most` or none differs."""
     n = len(features)
     out = np.zeros(max(most, len(chosen), 1), dtype=np.int64)
-    out[: len(chosen)] = chosen
+    copy_into(out, chosen)
     count = max(len(chosen), 1)
-    distance = np.full(n, np.inf)
+    distance = np.empty(n)
+    for i in range(n):
+        distance[i] = np.inf
     for k in range(min(most, n)):
         if k >= count:
-            row = int(np.argmax(distance))
+            row = 0
+            for i in range(1, n):
+                row = i if distance[i] > distance[row] else row
             if distance[row] <= 1e-9:
                 break
             out[k] = row

@@ -5,13 +5,14 @@ nearest first; tsp.py reduces every other problem to this one.
 """
 
 import numpy as np
-from numba import njit
+
+from scanmotion.geometry.jit import copy_into, njit
 
 EPS = 1e-10
 
 
 @njit(cache=True)
-def random_below(state: np.ndarray, n: int):
+def random_below(state: np.ndarray, n: int | np.int64):
     """Next whole number in [0, n) of the splitmix64 stream in `state`, shape (1,) uint64."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
     z = state[0]
@@ -177,7 +178,7 @@ def first_population(D: np.ndarray, NB: np.ndarray, size: int, state: np.ndarray
         for i in range(n):
             pos[tour[i]] = i
         local_search(D, NB, tour, pos)
-        population[p] = tour
+        copy_into(population[p], tour)
     return population
 
 

@@ -6,7 +6,8 @@ doi 10.1007/BF01584070).
 """
 
 import numpy as np
-from numba import njit
+
+from scanmotion.geometry.jit import copy_into, njit
 
 
 @njit(cache=True)
@@ -104,7 +105,7 @@ def one_tree_bound(D: np.ndarray, upper: float, rounds: int) -> float:
         if value > best:
             idle = 0 if value - best > 1e-3 * (upper - value) else idle + 1
             best = value
-            best_price[:] = price
+            copy_into(best_price, price)
         else:
             idle += 1
         norm = 0
@@ -115,7 +116,7 @@ def one_tree_bound(D: np.ndarray, upper: float, rounds: int) -> float:
         if idle >= 8:
             scale *= 0.6
             idle = 0
-            price[:] = best_price
+            copy_into(price, best_price)
         length = scale * max(upper - value, 1e-9 * abs(upper)) / norm
         for v in range(n):
             step_before[v] = length * (0.7 * (degree[v] - 2)) + 0.3 * step_before[v]
