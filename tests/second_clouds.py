@@ -63,6 +63,7 @@ CLOUDS = {
     "rechts_hoch.csv": "Punkt;Hochwert;Rechtswert;Höhe\n".encode() + table(np.arange(len(P)), P[:, 1], P[:, 0], P[:, 2], mark=";"),
     "est_nord.csv": b"Nord;Est;Quota\n" + table(P[:, 1], P[:, 0], P[:, 2], mark=";"),
     "northing_first.csv": b"Northing,Easting,Elev.\n" + table(P[:, 1], P[:, 0], P[:, 2], mark=","),
+    "pixels_first.csv": b"x,y,X,Y,Z\n" + table(_GRID, P, mark=","),
     "x_mm.csv": b"x_mm,y_mm,z_mm,quality\n" + table(P, C[:, 0], mark=","),
     "german_colours.csv": "X;Y;Z;Rot;Grün;Blau;Intensität\n".encode() + table(P, C, C[:, 0], mark=";"),
     "spaced_names.csv": b"Point ID, X Coord, Y Coord, Z Coord, Normal X, Normal Y, Normal Z\n" + table(np.arange(len(P)), P, N, mark=","),

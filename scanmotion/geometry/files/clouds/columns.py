@@ -63,6 +63,8 @@ def columns_taken(table: np.ndarray, names: tuple[str, ...]) -> Taken:
     """
     split = [_name_and_unit(n) for n in names]
     by_name = {n: i for i, (n, _) in reversed(list(enumerate(split))) if n}
+    if set("XYZ") <= set(names):  # beside x and y of an image
+        by_name |= {axis.lower(): names.index(axis) for axis in "XYZ"}
     wanted = _coordinates(by_name)
     if wanted is not None:
         return _by_name(by_name, wanted, split[by_name[wanted[0]]][1])
