@@ -1,10 +1,12 @@
 """Which stage lost what: every viewpoint is counted once, and an empty plan says where it ended."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from typer.testing import CliRunner
 
+from scanmotion.cell.build import build_cell
 from scanmotion.cell.settings.cell import load_cell
 from scanmotion.cli import app
 from scanmotion.core.summary import NOT_WORTH
@@ -12,6 +14,7 @@ from scanmotion.geometry.parts.make_part import box_part
 from scanmotion.planning.explain import explained, losing_stage
 from scanmotion.planning.options import PlanOptions
 from scanmotion.planning.pipeline import plan
+from scanmotion.report.used import used_packages
 
 
 @pytest.mark.parametrize(
@@ -50,6 +53,15 @@ def test_every_viewpoint_is_counted_once():
     assert all(sum(n for _, n, _ in s.causes) == s.lost for s in stages[:-1])
     assert stages[0].lost == 1 and stages[0].causes[0][2].startswith("VPn: the table hides")
     assert "4 by analytic" in stages[1].note
+    used = dict(used_packages(made))
+    ways = [path.method for item in made.segments for path in item.paths]
+    assert ("ompl" in used) == ("planned" in ways)
+    transits = [o for o in made.trajectory.operations if o.kind == "transit"]
+    assert used["toppra"] == f"time profile of {len(transits)} transits"
+    assert "py-opw-kinematics" in used and "by search" not in used["drake"]
+    parallel = replace(made, cell=build_cell(load_cell("ur10e")))
+    assert "py-opw-kinematics" not in dict(used_packages(parallel))
+    assert "toppra" not in dict(used_packages(replace(made, trajectory=None)))
 
 
 def test_an_empty_plan_says_where_it_ended(tmp_path):

@@ -14,19 +14,8 @@ from scanmotion.report.figures.charts import curve_figure, joint_figure, tcp_fig
 from scanmotion.report.figures.maps import cell_figure
 from scanmotion.report.html import image, page, section, table
 from scanmotion.report.surface import coverage, holes, viewpoints
+from scanmotion.report.used import used_packages
 from scanmotion.report.words import first_sentence, glossary, margin_rows, sheet
-
-PACKAGES = (
-    "drake",
-    "open3d",
-    "numpy",
-    "scipy",
-    "ompl",
-    "toppra",
-    "ruckig",
-    "python-fcl",
-    "py-opw-kinematics",
-)
 
 NOT_KNOWN = "not known"
 """A figure that needs a model of the part; a page without one leaves it out."""
@@ -211,17 +200,17 @@ def _read(summary: Summary) -> str:
 
 def _settings(plan: Plan, summary: Summary) -> str:
     settings = plan.cell.settings.model_dump(mode="json")
-    versions = [("scanmotion", __version__), ("python", platform.python_version())]
-    for name in PACKAGES:
+    versions = [("scanmotion", __version__, "this plan"), ("python", platform.python_version(), "")]
+    for name, what in used_packages(plan):
         try:
-            versions.append((name, metadata.version(name)))
+            versions.append((name, metadata.version(name), what))
         except metadata.PackageNotFoundError:
-            versions.append((name, "not installed"))
+            versions.append((name, "not installed here", what))
     spent = [(name, f"{seconds:.2f} s") for name, seconds in summary.planning_s.items()]
     return section(
         "Settings, versions, seed",
         f"<p>Seed {plan.options.seed}.</p>",
-        table(("package", "version"), versions),
+        table(("package", "version", "what it did here"), versions),
         table(("planning stage", "took"), spent),
         "<details><summary>all settings of the cell</summary>"
         f"<pre>{escape(json.dumps(settings, indent=2))}</pre></details>",
