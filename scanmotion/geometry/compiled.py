@@ -115,7 +115,8 @@ def _heard(
             ready.register(child.stdout, selectors.EVENT_READ, child)
         while ready.get_map():
             for key, _ in ready.select():
-                line = key.fileobj.readline()  # pyright: ignore
+                out: Any = key.fileobj
+                line = out.readline()
                 if line:
                     done += weight.get(line.rstrip("\n"), 0.0)
                     tell(STAGE, min(done / total, 1.0))

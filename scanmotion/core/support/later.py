@@ -107,5 +107,5 @@ def defer_classes(name: str, classes: tuple[str, ...]) -> None:
 
     for wanted in classes:
         setattr(stand_in, wanted, type(wanted, (), {"__new__": made(wanted), "__module__": name}))
-    stand_in.__getattr__ = attribute  # pyright: ignore
+    stand_in.__dict__["__getattr__"] = attribute
     sys.modules[name] = stand_in

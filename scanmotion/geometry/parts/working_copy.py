@@ -82,7 +82,8 @@ def _greatest_distance(
 
     scene = o3d.t.geometry.RaycastingScene(nthreads=allowed_threads())
     points: Any = to_vertices.astype(np.float32)
-    scene.add_triangles(points, to_triangles.astype(np.uint32))  # pyright: ignore
+    triangles: Any = to_triangles.astype(np.uint32)
+    scene.add_triangles(points, triangles)
 
     def distances(p: np.ndarray) -> np.ndarray:
         found = []
