@@ -82,8 +82,8 @@ def _greatest_distance(
 
     scene = o3d.t.geometry.RaycastingScene(nthreads=allowed_threads())
     points: Any = to_vertices.astype(np.float32)
-    triangles: Any = to_triangles.astype(np.uint32)
-    scene.add_triangles(points, triangles)
+    indices: Any = to_triangles.astype(np.uint32)
+    scene.add_triangles(points, indices)
 
     def distances(p: np.ndarray) -> np.ndarray:
         found = []
