@@ -104,7 +104,7 @@ def classic_block(stretch: Stretch, job: ExportJob) -> KrlBlock:
             lines.append(f"TRIGGER WHEN DISTANCE=1 DELAY=0 DO {job.name}_AT={i}")
         lines.append(f"PTP {axes(points[i])}{suffix}")
     lines.append(f"{job.name}_SPD (100)")
-    back = _back_along(stretch, knots, job) if whole else _back(stretch, points, job)
+    back = _back_along(stretch, knots, job) if marks else _back(stretch, points, job)
     return KrlBlock(lines=tuple(lines), back=back, away=away, cut=rounded)
 
 
@@ -151,7 +151,8 @@ def timed_block(stretch: Stretch, job: ExportJob) -> KrlBlock:
     knots, away = spline_knots(
         t, q, tolerance, longest=SPLINE_LONGEST_S, shortest=SPLINE_SHORTEST_S, most=most
     )
-    passed = knots if stretch.operation.kind == "helix" else knots[:1]
+    marked = stretch.operation.kind in ("helix", "path")
+    passed = knots if marked else knots[:1]
     if whole:
         knots, passed = way_back_knots(t, q, knots, BACK_DEG, shortest=SPLINE_SHORTEST_S)
     share = np.round(100 * (t[knots] - t[0]) / stretch.duration, 5)
@@ -164,12 +165,12 @@ def timed_block(stretch: Stretch, job: ExportJob) -> KrlBlock:
         lines += [f" SPTP {axes(q[i])}", f" TIME_BLOCK PART = {number(part)}"]
     seconds = stretch.duration * (100 / DRY_PERCENT if job.dry_run else 1)
     lines += [f" TIME_BLOCK END = {number(seconds, 4)}", "ENDSPLINE"]
-    back = _back_along(stretch, passed, job) if whole else _back(stretch, q[knots], job)
+    back = _back_along(stretch, passed, job) if marked else _back(stretch, q[knots], job)
     return KrlBlock(lines=tuple(lines), back=back, away=away)
 
 
 def _back_along(stretch: Stretch, knots: np.ndarray, job: ExportJob) -> tuple[str, ...]:
-    """The way back along a continuous motion, through the counted points, no faster than it was driven."""
+    """The way back along a helix or a continuous motion, by its counted points, no faster than driven."""
     q, percents, lines = np.rad2deg(stretch.q[knots]), ptp_percents(stretch, knots, job), []
     for n in range(len(knots) - 2, -1, -1):
         move = (f"{job.name}_SPD ({percents[n]})", f"PTP {axes(q[n])}")
@@ -185,8 +186,8 @@ def _wait(stretch: Stretch, job: ExportJob) -> KrlBlock:
 def _back(stretch: Stretch, points: np.ndarray, job: ExportJob) -> tuple[str, ...]:
     """The way back to where an operation starts, along what was driven.
 
-    A turn of the table and a straight line of the scanner have one way back; a helix goes back through the
-    points that it has passed, which the programme counts.
+    A turn of the table and a straight line of the scanner have one way back; `_back_along` knows that of a
+    helix and of a continuous motion.
     """
     kind = stretch.operation.kind
     if kind == "sweep":
@@ -194,12 +195,7 @@ def _back(stretch: Stretch, points: np.ndarray, job: ExportJob) -> tuple[str, ..
         return (f"$VEL.CP={number(BACK_M_S, 3)}", f"LIN {frame(X, e1)}", f"{job.name}_CP (FALSE)")
     if kind == "revolution":
         return (f"{job.name}_SPD ({BACK_PERCENT})", f"PTP {axes(points[0])}")
-    if kind != "helix":
-        return ()
-    lines = [f"{job.name}_SPD (1)"]
-    for n in range(len(points) - 2, 0, -1):
-        lines += [f"IF {job.name}_AT>={n} THEN", f"PTP {axes(points[n])}", "ENDIF"]
-    return (*lines, f"PTP {axes(points[0])}")
+    return ()
 
 
 def _sweep(stretch: Stretch, job: ExportJob) -> KrlBlock:
