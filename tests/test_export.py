@@ -303,7 +303,7 @@ def one_view(**more):
 @pytest.mark.parametrize(
     "old, new, word",
     [
-        ("id,step", "name,step", "first line"),
+        ("id,step", "name,step", "column .name. is unknown"),
         ("V1,local", "V1,lokal", "step"),
         ("station", "stand", "kind"),
         ("600", "nan", "finite"),

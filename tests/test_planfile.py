@@ -134,7 +134,7 @@ WRONG = {
     "process.scan_speed_m_s": [0.0],
     "process.surprise": [1],
     "surprise": [1],
-    "bodies.0.shape": ["mesh", "sphere"],
+    "bodies.0.shape": ["cone", "sphere"],
     "bodies.0.size_m": [[0.1], [0.1] * 4, "0.1"],
     "bodies.0.frame": ["scanner"],
     "viewpoints.0.X_OS.1.3": ["0", 2e3],
