@@ -42,10 +42,14 @@ def boxes_of(name: str) -> list[list[tuple]]:
     for i, boxes in enumerate(ROBOTS[name]["boxes"]):
         cut = ROBOTS[name]["adjust"].get(i, 0.0)
         adjusted.append(
-            [(low, (high[0] + (cut if high[0] > 0.7 else 0.0), *high[1:])) for low, high in boxes]
+            [
+                (low, (high[0] + (cut if high[0] > 0.7 else 0.0), *high[1:]), *round_)
+                for low, high, *round_ in boxes
+            ]
         )
         adjusted[-1] = [
-            ((low[0] + (cut if low[0] > 0.7 else 0.0), *low[1:]), high) for low, high in adjusted[-1]
+            ((low[0] + (cut if low[0] > 0.7 else 0.0), *low[1:]), high, *round_)
+            for low, high, *round_ in adjusted[-1]
         ]  # fmt: skip
     return adjusted
 
@@ -66,10 +70,15 @@ def link_xml(name: str, i: int) -> list[str]:
             f'      <material name="m{colour[0]:.2f}"><color rgba="{nums(colour)}"/></material>',
             "    </visual>",
         ]
-    for n, (low, high) in enumerate(boxes_of(name)[i]):
+    for n, (low, high, *axis) in enumerate(boxes_of(name)[i]):
         low_, high_ = np.array(low), np.array(high)
         if i == 6 and ROBOTS[name]["flange"] == FORWARD:
             shape, rpy = '<cylinder radius="0.1" length="0.04"/>', ' rpy="0 1.5707963267948966 0"'
+        elif axis:
+            sides = high_ - low_
+            length, across = (sides[1], sides[0]) if axis == ["y"] else (sides[2], sides[0])
+            shape = f'<cylinder radius="{nums((across / 2,))}" length="{nums((length,))}"/>'
+            rpy = ' rpy="1.5707963267948966 0 0"' if axis == ["y"] else ""
         else:
             shape, rpy = f'<box size="{nums(high_ - low_)}"/>', ""
         out += [

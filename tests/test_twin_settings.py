@@ -76,7 +76,7 @@ def test_one_constant_error_is_enough(key):
         ({"axis_mm": [50, 0]}, "twin.axis_mm.0", "millimetres"),
         ({"pose_mm": -1}, "twin.pose_mm", "below"),
         ({"pose_mm": 20}, "twin.pose_mm", "millimetres"),
-        ({"axis_mm": [0, 0, 0]}, "twin.axis_mm", "2 items"),
+        ({"axis_mm": [0, 0, 0]}, "twin.axis_mm", "2 values are expected"),
         ({"axis_mm": 0.5}, "twin.axis_mm", "tuple"),
         ({"axis_m": [0, 0]}, "twin.axis_m", "unknown; known: [axis_deg"),
         ({"hand_eye_deg": [0, 0, 3]}, "twin.hand_eye_deg.2", "degrees"),
